@@ -1,4 +1,4 @@
-"""Drivers of arms, over their vendors' libraries, against virtual robots; the figures are those of the robots' own logs.
+"""Drivers of arms, over their vendors' libraries, against virtual robots, by the robots' own logs.
 
     python benchmarks/hardware.py --robot fake | fr3 | ur5e | xarm7 | so101 | dual_fr3 | all
 
@@ -12,8 +12,8 @@ One line of JSON per robot, and a last one for all. What is measured, each by a 
 - `bus`: reads of an SO101's servos while packets are late, lost and damaged;
 - `skew`: of the commands to two arms, of `dual_fr3`.
 
-`fake` is a servo in Python that follows its points at once, on a clock of its own. `robot_late` is the share of a virtual
-robot's ticks that came late: a machine where it is above 0.01 is too busy for figures of time.
+`fake` is a servo in Python that follows its points at once, on a clock of its own. `robot_late` is the share of a
+virtual robot's ticks that came late: a machine where it is above 0.01 is too busy for figures of time.
 """
 
 from __future__ import annotations

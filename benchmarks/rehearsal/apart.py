@@ -6,9 +6,9 @@ import time
 from typing import Any
 
 import numpy as np
+from rehearsal.stage import GRIPPERS, OPEN, Array, stage
 
 import rcs
-from rehearsal.stage import GRIPPERS, OPEN, Array, stage
 
 LAGS = np.arange(-0.05, 0.4, 5e-4)
 """Of the virtual robot behind the simulated one [s]."""

@@ -10,11 +10,11 @@ import time
 from typing import Any
 
 import numpy as np
+from rehearsal.stage import stage
 
 from rcs.errors import DeviceFault
 from rcs.hardware.servo_bus import TIMEOUT
 from rcs.hardware.so101 import ARM, GOAL, Servos, read_calibration
-from rehearsal.stage import stage
 
 FAULTS = (("late", "20/100"), ("lose", "1/100"), ("corrupt", "1/100"))
 SERVOS = 6

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from rehearsal.stage import GRIPPERS, OPEN, Array, Stage, percentile, stage
 
 VALID_FOR = 0.05
@@ -83,7 +82,7 @@ def keep_interpreter(seconds: float) -> None:
 
 
 def be_busy(one: Stage, way: float) -> float:
-    """Lead the robot with commands that are valid for 50 ms, keep the interpreter, and return when the last one was sent."""
+    """Lead the robot with commands that are valid for 50 ms, keep the interpreter; return when the last was sent."""
     arm, _ = one.devices()
     with arm:
         target = np.array(arm.state().joints)

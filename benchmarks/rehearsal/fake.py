@@ -6,11 +6,11 @@ import time
 from typing import Any
 
 import numpy as np
+from rehearsal.sent import next_target, worst
+from rehearsal.stage import RATES, Array
 
 from rcs.devices import ArmLimits, ArmState, StreamedArm, StreamOptions, StreamPoint
 from rcs.robots import FR3
-from rehearsal.sent import next_target, worst
-from rehearsal.stage import RATES, Array
 
 PERIOD = 1 / 30
 """Between commands [s]."""

@@ -9,18 +9,17 @@ from __future__ import annotations
 import tempfile
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rcs_data import Dataset
+from rehearsal.stage import OPEN, Stage, percentile, recover, stage
 
 import rcs
 from rcs.devices import lookup
 from rcs.errors import RcsError
 from rcs.virtual.fault import GENERIC
-from rehearsal.stage import OPEN, Stage, percentile, stage
 
 Words = tuple[str, ...]
 
@@ -30,19 +29,8 @@ STANDS = 0.6
 """After a fault, until the robot stands [s]."""
 WATCHED = 0.3
 """After `recover`, for how long nothing may move [s]."""
-RECOVERY = 8.0
-"""How long to try [s]; a UR's protective stop lasts 5 s."""
-HARMLESS = {"late", "lose", "corrupt"}
-"""With the values below."""
-GENERIC_WORDS: tuple[Words, ...] = (
-    ("freeze", "2"),
-    ("cut",),
-    ("late", "20/100"),
-    ("lose", "3"),
-    ("lose", "1/100"),
-    ("corrupt", "3"),
-    ("corrupt", "1/100"),
-)
+SOME = ("freeze 2", "cut", "late 20/100", "lose 3", "lose 1/100", "corrupt 3", "corrupt 1/100")
+"""What is told of the faults that all robots know."""
 CODES = {"fr3": ("0", "5", "9"), "so101": ("2", "4", "8"), "xarm7": ("21", "31", "35")}
 """Of the robots that have a fault `code`."""
 VERSIONS = {"fr3": "9", "ur5e": "1", "xarm7": "1.8.0", "so101": "1234"}
@@ -50,25 +38,24 @@ VERSIONS = {"fr3": "9", "ur5e": "1", "xarm7": "1.8.0", "so101": "1234"}
 GRIPPER_CODE = "10"
 
 
-def told_of(robot: str, name: str) -> list[Callable[[np.random.Generator], Words]]:
-    """Return what to tell of a fault of a robot, as functions of chance."""
-    arm = lookup.find("arm", robot)
-    match name:
+def words_of(robot: str, kind: str, random: np.random.Generator) -> Words:
+    """Return what to tell of a kind of fault, with a joint or a code by chance."""
+    match kind:
         case "overload":
-            return [lambda random: (name, str(random.choice(arm.joints)))]
+            return (kind, str(random.choice(lookup.find("arm", robot).joints)))
         case "code":
-            return [lambda random: (name, str(random.choice(CODES[robot])))]
+            return (kind, str(random.choice(CODES[robot])))
         case "version":
-            return [lambda _: (name, VERSIONS[robot])]
+            return (kind, VERSIONS[robot])
         case "gripper":
-            return [lambda _: (name, GRIPPER_CODE)]
+            return (kind, GRIPPER_CODE)
         case _:
-            return [lambda _: (name,)]
+            return tuple(kind.split())
 
 
 def try_fault(one: Stage, env: rcs.Env, words: Words, random: np.random.Generator) -> dict[str, Any]:
     """Have something go wrong in motion, recover, and return what was seen."""
-    env.reset()
+    begin(env)
     shape, steps = env.action_space["joints"].shape, 0
     most = 0.5 * env.action_space["joints"].high
     at: list[float] = []
@@ -88,24 +75,21 @@ def try_fault(one: Stage, env: rcs.Env, words: Words, random: np.random.Generato
     time.sleep(STANDS)
     one.virtual.tell("clear")
     time.sleep(0.1)
-    begin = time.monotonic()
+    recovers = time.monotonic()
     failure = recover(env)
     end = time.monotonic() + WATCHED
     time.sleep(WATCHED)
-    return {"ms": detected, "says": says, "steps": steps, "recover": (begin, end), "failure": failure}
+    return {"ms": detected, "says": says, "steps": steps, "recover": (recovers, end), "failure": failure}
 
 
-def recover(env: rcs.Env) -> str:
-    """Recover, and return why that fails, or nothing."""
-    until = time.monotonic() + RECOVERY
-    while True:
-        try:
-            env.recover()
-            return ""
-        except RcsError as err:
-            if time.monotonic() > until:
-                return str(err)
-            time.sleep(0.2)
+def begin(env: rcs.Env) -> None:
+    """Begin an episode, whatever the last one has left."""
+    try:
+        env.reset()
+    except RcsError:
+        time.sleep(1.0)
+        recover(env)
+        env.reset()
 
 
 def works(env: rcs.Env) -> str:
@@ -124,24 +108,17 @@ def works(env: rcs.Env) -> str:
 
 def measure(robot: str, tries: int) -> dict[str, Any]:
     """Return the figures of every fault of a robot, with so many tries each."""
-    found: dict[str, Any] = {}
     own = [name for name in lookup.find("wire", robot).faults if name not in GENERIC]
-    kinds: list[tuple[str, Callable[[np.random.Generator], Words]]] = [
-        (" ".join(words), lambda _, words=words: words) for words in GENERIC_WORDS
-    ]
-    kinds += [(name, say) for name in own for say in told_of(robot, name)]
-    for kind, say in kinds:
-        found[kind] = try_kind(robot, say, tries)
-    return found
+    return {kind: try_kind(robot, kind, tries) for kind in (*SOME, *own)}
 
 
-def try_kind(robot: str, say: Callable[[np.random.Generator], Words], tries: int) -> dict[str, Any]:
+def try_kind(robot: str, kind: str, tries: int) -> dict[str, Any]:
     """Return the figures of one fault."""
     random, seen, broken = np.random.default_rng(0), [], []
     with stage(robot) as one, tempfile.TemporaryDirectory(prefix="rcs", dir="/tmp") as folder:
         with one.env() as env, rcs.record_all(env, Path(folder) / "rows"):
             for _ in range(tries):
-                seen.append(try_fault(one, env, say(random), random))
+                seen.append(try_fault(one, env, words_of(robot, kind, random), random))
                 if trouble := works(env):
                     broken.append(trouble)
                     recover(env)

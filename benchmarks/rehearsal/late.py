@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from rehearsal.stage import OPEN, RATES, Array, percentile, stage
 
 import rcs
-from rehearsal.stage import OPEN, RATES, Array, percentile, stage
 
 CAMERAS = {"fr3": "side", "ur5e": "overhead", "xarm7": "front", "so101": "wrist"}
 PAUSE = 0.25

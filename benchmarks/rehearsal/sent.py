@@ -11,12 +11,12 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
+from rehearsal.stage import OPEN, RATES, Array, Stage, range_of, recover, stage
 
-from rcs.devices import Arm, ArmLimits
+from rcs.devices import Arm, ArmLimits, lookup
 from rcs.errors import DeviceFault, InvalidAction
 from rcs.hardware.franka import FrankaArm
 from rcs.robots import FR3
-from rehearsal.stage import OPEN, RATES, Array, Stage, range_of, stage
 
 WINDOWS = (1, 2, 5, 10, 20)
 """Over how many points differences are taken: a mean over a window is within the limits where the points are, and what
@@ -93,19 +93,19 @@ def command_driver(arm: Arm, home: Array, commands: int, ends: Counter[str]) -> 
     arm.close()
 
 
-def recovered(device: Any) -> str:
-    """Return the fault of a device that has recovered from it."""
-    told = " ".join(device.fault.split()[:16])
+def recovered(arm: Arm) -> str:
+    """Return the fault of an arm that has recovered from it."""
+    told = first_words(arm.fault)
     time.sleep(2 * RESTART)
-    for _ in range(20):
-        try:
-            device.recover()
-            break
-        except DeviceFault:
-            time.sleep(0.5)
-    device.command_joints(device.state().joints)
+    recover(arm)
+    arm.command_joints(arm.state().joints)
     time.sleep(2 * RESTART)
     return told
+
+
+def first_words(text: str) -> str:
+    """Return the beginning of a message."""
+    return " ".join(text.split()[:16])
 
 
 def command_env(one: Stage, control: str, commands: int, ends: Counter[str]) -> None:
@@ -114,34 +114,30 @@ def command_env(one: Stage, control: str, commands: int, ends: Counter[str]) -> 
     relative = "last_step" if control in ("joints", "twist") else "absolute"
     with one.env(control=control, relative=relative, frequency=FREQUENCY, binary_gripper=False) as env:
         observation, _ = env.reset()
-        start, way, grip = np.array(observation.get(control, 0.0)), np.zeros(0), OPEN
-        space = env.action_space[control]
+        space, grip = env.action_space[control], OPEN
+        action = start = np.array(observation[control]) if relative == "absolute" else np.zeros(space.shape)
+        way = action
         for k in range(commands):
             if k % 20 == 0:  # there and back
                 way = np.where(random.random(space.shape) < 0.5, space.low, space.high) if k % 40 == 0 else -way
                 grip = random.uniform(0.0, 1.0, 1)
-            action = way * random.choice([1.0, random.random()])
-            if relative == "absolute":
-                action = somewhere(random, start) if k % 10 == 0 or k < 2 else action_before
-            action_before = action
+            if relative == "last_step":
+                action = way * random.choice([1.0, random.random()])
+            elif k % 10 == 5:
+                action = somewhere(random, start)
             try:
                 _, _, _, truncated, info = env.step({control: action, "gripper": grip})
             except InvalidAction:
                 ends["refused"] += 1
                 continue
             ends["refused"] += "refused" in info
-            if not truncated:
-                continue
-            ends[" ".join(str(info.get("faults", info["end"])).split()[:16])] += 1
-            time.sleep(2 * RESTART)
-            for _ in range(20):
-                try:
-                    env.recover()
-                    break
-                except DeviceFault:
-                    time.sleep(0.5)
-            env.reset()
-            time.sleep(2 * RESTART)
+            if truncated:
+                ends[first_words(str(info.get("faults", info["end"])))] += 1
+                time.sleep(2 * RESTART)
+                recover(env)
+                env.reset()
+                action = start
+                time.sleep(2 * RESTART)
 
 
 def somewhere(random: np.random.Generator, start: Array) -> Array:
@@ -160,7 +156,7 @@ def measure(robot: str, commands: int) -> dict[str, Any]:
     with stage(robot) as one, recording_franka(given):
         arm, _ = one.devices(**({"host": False} if robot == "fr3" else {}))
         limits = arm.limits
-        home = one_home(robot)
+        home = np.array(lookup.find("arm", robot).home)
         command_driver(arm, home, commands * 6 // 10, ends)
         for control in CONTROLS:
             time.sleep(2 * RESTART)
@@ -182,13 +178,6 @@ def measure(robot: str, commands: int) -> dict[str, Any]:
     found |= worst(times, places, rate, limits, QUANTA.get(robot, 0.0))
     speed = np.abs(ticks["velocities"]).max(axis=0) / np.array(limits.joint_velocity)
     return found | {"measured_speed": round(float(speed.max()), 3), "ends": dict(ends), "robot_late": late}
-
-
-def one_home(robot: str) -> Array:
-    """Return the home posture."""
-    from rcs.devices import lookup
-
-    return np.array(lookup.find("arm", robot).home)
 
 
 def torques_of(points: Any) -> dict[str, float]:

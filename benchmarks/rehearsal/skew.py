@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-
 from rehearsal.stage import OPEN, Array, percentile, stage
 
 FREQUENCY = 90.0
@@ -45,7 +44,8 @@ def measure(seconds: float) -> dict[str, Any]:
                 action = np.zeros(7)
                 if k % EVERY == EVERY // 2:
                     action[6] = WAY if k // EVERY % 2 else -WAY
-                *_, truncated, info = env.step(dict.fromkeys(("left", "right"), {"joints": action, "gripper": OPEN}))
+                both = {"joints": action, "gripper": OPEN}
+                *_, truncated, info = env.step({"left": both, "right": both})
                 if action.any():
                     sent.append(info["time"] - 1 / FREQUENCY)
                 late.append(1e3 * info["late"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ import rcs
 from rcs import Setup
 from rcs.devices import Arm, Gripper, lookup
 from rcs.envs import Env
+from rcs.errors import RcsError
 from rcs.hardware import Site
 from rcs.setups.lab import lab_of
 from rcs.virtual import VirtualProcess, read_events, read_points, read_ticks
@@ -27,6 +29,8 @@ RATES = {"fr3": 1000.0, "ur5e": 500.0, "xarm7": 250.0, "so101": 100.0}
 GRIPPERS = {"xarm7": "robotiq_2f85"}
 """Of robots whose usual end effector is none."""
 OPEN = np.ones(1)
+RECOVERY = 8.0
+"""How long to try to recover [s]; a UR's protective stop lasts 5 s."""
 
 Array = NDArray[np.float64]
 
@@ -93,11 +97,24 @@ def stage(robot: str) -> Generator[Stage]:
 
 
 def range_of(arm: Arm, home: Array, reach: float) -> tuple[Array, Array]:
-    """Return where joints may be led without hitting anything: the first and the last all of their way, others near home."""
+    """Return where joints may be led and hit nothing: the first and the last all of their way, others near home."""
     lower, upper = (np.array(bound) for bound in (arm.limits.joint_lower, arm.limits.joint_upper))
     near = np.full(len(home), reach)
     near[[0, -1]] = np.inf
     return np.maximum(lower, home - near), np.minimum(upper, home + near)
+
+
+def recover(what: Arm | Env) -> str:
+    """Recover, and return why that fails, or nothing."""
+    until = time.monotonic() + RECOVERY
+    while True:
+        try:
+            what.recover()
+            return ""
+        except RcsError as err:
+            if time.monotonic() > until:
+                return str(err)
+            time.sleep(0.2)
 
 
 def percentile(values: Any, share: float, digits: int = 1) -> float | None:

@@ -242,16 +242,20 @@ struct StreamedArm::Loop {
 
   // Stop first: an exception from Python waits for the interpreter to give its message.
   void break_down(const std::string& what, const std::exception& error) {
+    is_breaking = true;
     const std::string failure = stop_leading();
     if (what == "read") is_reading = false;
     take_time([&] {
       const bool is_said = dynamic_cast<const DeviceFault*>(&error);
       arm.set_fault((is_said ? "" : what + " failed: ") + words_of(error) + failure);
     });
+    is_breaking = false;
   }
   void break_down(const std::string& reason) {
+    is_breaking = true;
     const std::string failure = stop_leading();
     take_time([&] { arm.set_fault(reason + failure); });
+    is_breaking = false;
   }
 
   std::string words_of(const std::exception& error) const { return arm.words_of(error).value_or(error.what()); }
@@ -416,6 +420,7 @@ struct StreamedArm::Loop {
   std::atomic<std::uint64_t> rested = 0;  // of these, the last one after which the arm stood still
   std::atomic<std::uint64_t> ticks = 0, missed = 0, lapses = 0;
   std::atomic<bool> is_running = false, is_led = false, is_closing = false, is_reading = true;
+  std::atomic<bool> is_breaking = false;   // it has stopped, and its fault is about to be set
   std::atomic<bool> is_abandoned = false;  // another thread stopped it because it did not answer
   std::atomic<bool> has_priority = false, has_locked = false;
   std::atomic<Request> request = Request::none;
@@ -480,6 +485,7 @@ void StreamedArm::require_near(std::span<const double> joints) {
   for (std::size_t i = 0; i < joints.size(); ++i) {
     const double distance = std::abs(joints[i] - measured[i]);
     if (distance <= options_.first_step) continue;
+    if (loop_->is_breaking || !fault().empty()) return;  // the command is not followed
     std::ostringstream text;
     text << name() << ": the first target must be near the arm: joint " << i << " is at " << measured[i]
          << " rad and its target " << joints[i] << " rad is " << distance << " rad away, valid is at most "

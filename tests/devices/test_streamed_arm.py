@@ -319,3 +319,27 @@ def test_other_commands_that_fail_are_a_fault() -> None:
         await_fault(arm)
         assert "joint 2 is off" in arm.fault
         assert "stop" in arm.calls
+
+
+def test_a_command_that_comes_while_an_arm_breaks_down_is_not_refused_for_its_distance() -> None:
+    class Slow(Servo):
+        """Its controller takes its time to stop; only then is the fault known."""
+
+        def _stop(self) -> None:
+            super()._stop()
+            time.sleep(0.3)
+
+    with Slow() as arm:
+        arm.command_joints(START)
+        time.sleep(0.1)
+        arm.has_reflex = True
+        while "stop" not in arm.calls:
+            time.sleep(1e-3)
+        assert arm.fault == ""
+        arm.command_joints(START + 0.3)
+        time.sleep(0.4)
+        assert "reflex" in arm.fault
+        count = len(arm.points)
+        arm.recover()
+        time.sleep(0.1)
+        assert len(arm.points) == count
