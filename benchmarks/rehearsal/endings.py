@@ -130,7 +130,7 @@ def measure(robot: str, tries: int) -> dict[str, Any]:
             events.append(("hold", be_busy(one, (-1.0) ** k)))
             events += [(end, end_program(one, end, (-1.0) ** (k + n))) for n, end in enumerate(ENDS, 1)]
         one.virtual.close()
-        ticks, points = one.ticks(), one.points()
+        ticks, points, late = one.ticks(), one.points(), one.robot_late()
     times, places = (ticks["time"], ticks["joints"]) if robot == "fr3" else (points["time"], points["joints"])
     window = WINDOW.get(robot, 0.02)
     found: dict[str, Any] = {"tries": tries}
@@ -147,4 +147,5 @@ def measure(robot: str, tries: int) -> dict[str, Any]:
         "hold_p99_ms": found["hold"]["brakes_p99_ms"],
         "orphan_ms": max((found[end]["brakes_p99_ms"] or 0.0) for end in ENDS),
         **found,
+        "robot_late": late,
     }

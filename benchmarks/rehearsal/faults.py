@@ -23,6 +23,8 @@ from rcs.virtual.fault import GENERIC
 
 Words = tuple[str, ...]
 
+SPEED = 0.2
+"""Of the first and the last joint, a share of the largest."""
 PATIENCE = 1.2
 """How long a fault is waited for [s]."""
 STANDS = 0.6
@@ -57,20 +59,22 @@ def try_fault(one: Stage, env: rcs.Env, words: Words, random: np.random.Generato
     """Have something go wrong in motion, recover, and return what was seen."""
     begin(env)
     shape, steps = env.action_space["joints"].shape, 0
-    most = 0.5 * env.action_space["joints"].high
+    most = SPEED * env.action_space["joints"].high
     at: list[float] = []
     moment = time.monotonic() + random.uniform(0.4, 1.2)
     timer = threading.Timer(moment - time.monotonic(), lambda: (at.append(time.monotonic()), one.virtual.tell(*words)))
     timer.start()
     detected, says = None, ""
     while not at or time.monotonic() < at[0] + PATIENCE:
-        way = np.cos(2.0 * steps / 30) * np.ones(shape)
+        way = np.sin(2.0 * steps / 30) * np.ones(shape)
         way[1:-1] *= 0.1
         *_, truncated, info = env.step({"joints": way * most, "gripper": OPEN})
         steps += 1
         if truncated:
-            detected, says = 1e3 * (time.monotonic() - at[0]) if at else np.nan, str(info.get("faults", info["end"]))
+            says = str(info.get("faults", info["end"]))
+            detected = 1e3 * (time.monotonic() - at[0]) if at else None
             break
+    timer.cancel()
     timer.join()
     time.sleep(STANDS)
     one.virtual.tell("clear")
@@ -79,7 +83,14 @@ def try_fault(one: Stage, env: rcs.Env, words: Words, random: np.random.Generato
     failure = recover(env)
     end = time.monotonic() + WATCHED
     time.sleep(WATCHED)
-    return {"ms": detected, "says": says, "steps": steps, "recover": (recovers, end), "failure": failure}
+    return {
+        "is_early": not at,
+        "ms": detected,
+        "says": says,
+        "steps": steps,
+        "recover": (recovers, end),
+        "failure": failure,
+    }
 
 
 def begin(env: rcs.Env) -> None:
@@ -133,7 +144,8 @@ def try_kind(robot: str, kind: str, tries: int) -> dict[str, Any]:
     missing = sum(trial["steps"] not in kept for trial in seen)
     times = [trial["ms"] for trial in seen]
     return {
-        "n": tries,
+        "n": tries - sum(trial["is_early"] for trial in seen),
+        "faults_before": sum(trial["is_early"] for trial in seen),
         "detected": sum(one is not None for one in times),
         "p50_ms": percentile(times, 50),
         "p99_ms": percentile(times, 99),

@@ -315,7 +315,7 @@ struct StreamedArm::Loop {
       taken_holds = all;
       done = std::max(done, held.load());
       if (is_asked && now >= deadline) ++lapses;  // whoever keeps it
-      if (std::exchange(gave_way, false)) try_to("start", [this] { stand_up(); });
+      if (std::exchange(gave_way, false)) start();
       brake();
     }
     if (is_closing) return brake();
@@ -325,7 +325,7 @@ struct StreamedArm::Loop {
       done = order.number;
       if (!arm.fault().empty()) return;  // it came between the check of this command and its sending
       deadline = order.deadline;
-      if (now < deadline && (is_led || try_to("start", [this] { stand_up(); }))) {
+      if (now < deadline && (is_led || start())) {
         if (order.kind != kind && !stands()) return brake();  // it came before this one was seen
         kind = order.kind;
         if (kind == CommandKind::joints)
@@ -346,6 +346,13 @@ struct StreamedArm::Loop {
       leader.go_on(period);
       since = 0;
     }
+  }
+
+  bool start() {
+    is_starting = true;
+    const bool has_started = try_to("start", [this] { stand_up(); });
+    is_starting = false;
+    return has_started;
   }
 
   // From here on the arm is led, at first to where it is.
@@ -420,6 +427,7 @@ struct StreamedArm::Loop {
   std::atomic<std::uint64_t> rested = 0;  // of these, the last one after which the arm stood still
   std::atomic<std::uint64_t> ticks = 0, missed = 0, lapses = 0;
   std::atomic<bool> is_running = false, is_led = false, is_closing = false, is_reading = true;
+  std::atomic<bool> is_starting = false;   // for a command that was near
   std::atomic<bool> is_breaking = false;   // it has stopped, and its fault is about to be set
   std::atomic<bool> is_abandoned = false;  // another thread stopped it because it did not answer
   std::atomic<bool> has_priority = false, has_locked = false;
@@ -475,7 +483,7 @@ ArmState StreamedArm::do_state() {
 }
 
 void StreamedArm::do_command_joints(std::span<const double> joints) {
-  if (!loop_->is_led) require_near(joints);
+  if (!loop_->is_led && !loop_->is_starting) require_near(joints);
   send(CommandKind::joints, joints);
 }
 

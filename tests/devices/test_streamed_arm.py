@@ -343,3 +343,24 @@ def test_a_command_that_comes_while_an_arm_breaks_down_is_not_refused_for_its_di
         arm.recover()
         time.sleep(0.1)
         assert len(arm.points) == count
+
+
+def test_commands_go_on_while_the_first_one_starts_an_arm_that_takes_its_time() -> None:
+    class Slow(Servo):
+        def _start(self) -> None:
+            super()._start()
+            time.sleep(0.3)
+
+    with Slow() as arm:
+        arm.command_joints(START)
+        while "start" not in arm.calls:
+            time.sleep(1e-3)
+        arm.command_joints(START + 0.3)
+        time.sleep(0.25)
+        assert not arm.points
+        end = time.monotonic() + 3.0
+        while not arm.has_arrived():
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        assert arm.joints == pytest.approx(START + 0.3, abs=1e-6)
+        assert np.abs(np.diff([point.position for point in arm.points], axis=0)).max() <= 3.0 / 250 + 1e-9

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from rcs.devices import ArmLimits, ArmState, Gripper, GripperState, StreamedArm, StreamOptions, StreamPoint
 from rcs.errors import DeviceFault, InvalidSetup, require_fields
-from rcs.hardware.driver import Driver
+from rcs.hardware.driver import Driver, HostTimes
 from rcs.hardware.fake import limits_of
 from rcs.hardware.link import Link
 from rcs.hardware.servo_bus import TIMEOUT, ServoBus, signed
@@ -36,6 +36,8 @@ MARGIN = 4
 """Positions at the ends of the calibrated range to which nothing is led."""
 FRESH = 0.02
 """The gripper is shown as the arm's last read has it when that is not older than this [s]."""
+LONGEST_TIMEOUT = 1.0
+"""Longest time for which servos may not answer, as an option [s]."""
 OPENING = 1.0
 """How long servos may take to answer when they are connected [s]."""
 RECOVERY = 0.3
@@ -127,7 +129,7 @@ class So101Options:
     at_close: Literal["release", "hold"] = "release"
     """Whether the motors are switched off when the arm is closed, so that it falls, or it keeps its place and power."""
     timeout: float = TIMEOUT
-    """How long servos may not answer before they count as lost [s], 0.01 to 10."""
+    """How long servos may not answer before they count as lost [s], 0.01 to 1."""
 
     @staticmethod
     def of(options: Mapping[str, Any]) -> So101Options:
@@ -141,8 +143,8 @@ class So101Options:
         if given.at_close not in ("hold", "release"):
             raise InvalidSetup(f"at_close is {given.at_close!r}; valid: 'hold', 'release'.")
         timeout: Any = given.timeout
-        if isinstance(timeout, bool) or not isinstance(timeout, int | float) or not 0.01 <= timeout <= 10.0:
-            raise InvalidSetup(f"timeout is {timeout!r} s; valid is 0.01 to 10 s.")
+        if isinstance(timeout, bool) or not isinstance(timeout, int | float) or not 0.01 <= timeout <= LONGEST_TIMEOUT:
+            raise InvalidSetup(f"timeout is {timeout!r} s; valid is 0.01 to {LONGEST_TIMEOUT:g} s.")
         return given
 
 
@@ -465,6 +467,7 @@ class So101Driver(Driver):
     """Makes SO101 arms and their grippers, at a serial port; options are those of `So101Options`."""
 
     hosted = True
+    host_times = HostTimes(answer=2.0, open=5.0)  # arm and gripper wait for each other: one line for both
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> So101Arm:
         """Return an arm, at the path of its serial port."""
