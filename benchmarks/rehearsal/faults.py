@@ -78,7 +78,7 @@ def try_fault(one: Stage, env: rcs.Env, words: Words, random: np.random.Generato
     timer.join()
     time.sleep(STANDS)
     one.virtual.tell("clear")
-    time.sleep(0.1)
+    time.sleep(STANDS)
     recovers = time.monotonic()
     failure = recover(env)
     end = time.monotonic() + WATCHED
@@ -141,7 +141,7 @@ def try_kind(robot: str, kind: str, tries: int) -> dict[str, Any]:
         begin, end = np.searchsorted(ticks["time"], trial["recover"])
         joints = ticks["joints"][begin:end]
         moved.append(1e3 * float(np.abs(joints - joints[0]).max(initial=0.0)) if len(joints) else np.nan)
-    missing = sum(trial["steps"] not in kept for trial in seen)
+    missing = sum(not {trial["steps"], trial["steps"] + 1} & set(kept) for trial in seen if trial["says"])
     times = [trial["ms"] for trial in seen]
     return {
         "n": tries - sum(trial["is_early"] for trial in seen),

@@ -231,6 +231,18 @@ class Servos:
         if first < SETTINGS:
             self.bus.write(servo, LOCK[0], 1, 1)
 
+    def tune(self, servos: Sequence[int]) -> None:
+        """Give servos their gains, and have them go to goals without ramps of their own."""
+        first = GAIN_P[0]
+        gains = bytes(GAINS[register, 1] for register in range(first, first + len(GAINS)))
+        for servo, (_, values) in self.bus.read(servos, first, ACCELERATION[0] + 1 - first).items():
+            if values[: len(gains)] != gains:
+                self.bus.write(servo, LOCK[0], 0, 1)
+                self.bus.write(servo, first, int.from_bytes(gains, "little"), len(gains))
+                self.bus.write(servo, LOCK[0], 1, 1)
+            if values[-1]:
+                self.bus.write(servo, ACCELERATION[0], 0, 1)
+
     def hold(self, servos: Sequence[int]) -> None:
         """Have servos stay where they are."""
         reading = self.read()
@@ -360,9 +372,7 @@ class So101Arm(StreamedArm):
 
     def _start(self) -> None:
         with self.link as servos:
-            for servo in ARM:
-                for register, value in {**GAINS, ACCELERATION: 0}.items():
-                    servos.set(servo, register, value)
+            servos.tune(ARM)
             servos.power(ARM)
         self._is_powered = self._is_led = True
 
