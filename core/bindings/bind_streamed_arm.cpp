@@ -126,8 +126,7 @@ void bind_streamed_arm(nb::module_& m) {
       .def_prop_rw("period", &StreamedArm::period, &StreamedArm::set_period,
                    "Time between commands [s], for which they are planned. Set it before the first one.")
       .def(
-          "clamped",
-          [](const StreamedArm& arm) { return counts_of(arm.clamped()); },
+          "clamped", [](const StreamedArm& arm) { return counts_of(arm.clamped()); },
           "How many commands since `open` asked for more than is allowed, by what was too much.")
       .def_prop_ro("ticks", &StreamedArm::ticks, "Points written since `open`.")
       .def_prop_ro("missed_ticks", &StreamedArm::missed_ticks, "Ticks left out because the thread came too late.")

@@ -229,7 +229,7 @@ class VirtualRobot:
     def log_point(self, *, joints: ArrayLike = np.nan, torques: ArrayLike = np.nan) -> None:
         """Log a point as it came on the wire: joints [rad] or torques [N·m], (dof,)."""
         everywhere = np.ones(self.about.dof)
-        self._log.point(self.name, joints * everywhere, torques * everywhere)
+        self._log.point(self.name, np.asarray(joints) * everywhere, np.asarray(torques) * everywhere)
 
     # --- What the loop of the world calls ---
 
