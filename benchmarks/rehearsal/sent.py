@@ -172,8 +172,8 @@ def measure(robot: str, commands: int) -> dict[str, Any]:
         times, places = np.array([at for at, _ in given]), np.array([point for _, point in given])
     else:
         times, places = points["time"], points["joints"]
-    if robot == "so101":  # a stream that ends in a fault ends with the goal to stay, which is no point of it
-        kept = np.append(np.diff(times) <= RESTART, True)
+    if robot == "so101":  # a stream ends with the goal to stay where the servos are, which is no point of it
+        kept = np.append(np.diff(times) <= RESTART, False)
         times, places = times[kept], places[kept]
     found |= worst(times, places, rate, limits, QUANTA.get(robot, 0.0))
     speed = np.abs(ticks["velocities"]).max(axis=0) / np.array(limits.joint_velocity)

@@ -34,6 +34,8 @@ RATE = 100.0
 """Points per second; all servos are read before each [Hz]."""
 MARGIN = 4
 """Positions at the ends of the calibrated range to which nothing is led."""
+KEPT_FREE = (MARGIN + 1) * tau / STEPS
+"""The same for joints [rad], with what rounding takes: points come to rest there and are not cut off."""
 FRESH = 0.02
 """The gripper is shown as the arm's last read has it when that is not older than this [s]."""
 LONGEST_TIMEOUT = 1.0
@@ -328,7 +330,11 @@ class So101Arm(StreamedArm):
             name: Name in messages.
         """
         silence = options.timeout + 0.2
-        super().__init__(name, limits, StreamOptions(rate=RATE, silence=silence, missed_ticks=round(RATE * silence)))
+        super().__init__(
+            name,
+            limits,
+            StreamOptions(rate=RATE, margin=KEPT_FREE, silence=silence, missed_ticks=round(RATE * silence)),
+        )
         self.link = link
         self._options = options
         self._is_powered = self._is_led = False
