@@ -17,7 +17,7 @@ from rcs._core import MotionLimits, Trajectory
 from rcs.devices import ArmLimits, ArmState, CommandKind, StreamedArm, StreamOptions, StreamPoint, TcpBox
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.kinematics import kinematics_of
-from rcs.robots import FR3
+from rcs.robots import FR3, SO101
 from rcs.testing import ArmContract
 
 LIMITS = ArmLimits([-2.0, -1.5, -3.0], [2.0, 1.0, 0.5], [2.0, 1.5, 3.0], [10.0, 8.0, 12.0], [500.0, 1000.0, 5000.0])
@@ -364,3 +364,51 @@ def test_commands_go_on_while_the_first_one_starts_an_arm_that_takes_its_time() 
             time.sleep(0.01)
         assert arm.joints == pytest.approx(START + 0.3, abs=1e-6)
         assert np.abs(np.diff([point.position for point in arm.points], axis=0)).max() <= 3.0 / 250 + 1e-9
+
+
+@pytest.mark.parametrize(("rate", "period"), [(100.0, 1 / 90), (500.0, 1 / 90), (100.0, 1 / 30), (1000.0, 1 / 30)])
+def test_commands_at_any_rate_do_not_lead_a_joint_out_of_its_range(rate: float, period: float) -> None:
+    margin = 0.01
+    limits = ArmLimits(SO101.joint_lower, SO101.joint_upper, [2.8] * 5, [15.0] * 5, [3000.0] * 5)
+    lower, upper = np.array(SO101.joint_lower), np.array(SO101.joint_upper)
+
+    class Hurried(StreamedArm):
+        """Goes there and back at full speed, as far as the range goes, at the rate of commands."""
+
+        def __init__(self) -> None:
+            options = {"tracking_error": 10.0, "margin": margin, "is_paced_by_read": True}
+            super().__init__("hurried", limits, StreamOptions(rate=rate, period=period, **options))
+            self.target = self.joints = np.array(SO101.home)
+            self.points: list[Any] = []
+            self.count, self.passed, self.way = 0, 0.0, np.zeros(5)
+            self.random = np.random.default_rng(0)
+
+        def _read(self) -> ArmState:
+            return ArmState(self.joints, np.zeros(5))
+
+        def _stop(self) -> None:
+            pass
+
+        def _write(self, point: StreamPoint) -> None:
+            self.joints = point.position
+            self.points.append(point.position)
+            self.passed += 1 / rate
+            if self.passed < period or self.count > 600:
+                return
+            self.passed -= period
+            if self.count % 20 == 0:
+                self.way = 2.8 * period * np.where(self.random.random(5) < 0.5, -1.0, 1.0)
+            self.count += 1
+            self.target = np.clip(self.target + self.way * self.random.choice([1.0, 0.5]), lower, upper)
+            self.command_joints(self.target)
+
+    with Hurried() as arm:
+        arm.command_joints(arm.joints)
+        end = time.monotonic() + 30.0
+        while arm.count <= 600:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+    points = np.array(arm.points)
+    assert np.ptp(points, axis=0).max() > 2.0
+    assert (points <= upper - margin + 1e-5).all()
+    assert (points >= lower + margin - 1e-5).all()
