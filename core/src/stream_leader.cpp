@@ -124,8 +124,8 @@ const StreamPoint& StreamLeader::advance() {
   return point_;
 }
 
-// Targets that come every few ticks lead a plan to places where it cannot stop any more inside of the range. If it could
-// not after this tick, it brakes now.
+// Targets that come every few ticks lead a plan to places where it cannot stop any more inside of the range. If it
+// could not after this tick, it brakes now.
 void StreamLeader::stay_in_range(double tick) {
   trajectory_->look(memory_.data(), tick);
   bool is_near = false;
