@@ -1,141 +1,100 @@
-"""What a robot is sent under random commands: worst speed, acceleration and jerk, and how many ticks come late.
+"""Drivers of arms, over their vendors' libraries, against virtual robots, by the robots' own logs.
 
-    python benchmarks/hardware.py --robot fake --commands 10000 --seconds 10
+    python benchmarks/hardware.py --robot fake | fr3 | ur5e | xarm7 | so101 | dual_fr3 | all
 
-The figures are shares of the limits, by differencing the points as they were written. `fake` is a servo in Python that
-follows its points at once: its commands come as fast as it goes, on its own clock; its late ticks are those of a 30 Hz
-loop in real time. The last line is the result as JSON.
+One line of JSON per robot, and a last one for all. What is measured, each by a module of `rehearsal`:
+
+- `sent`: under random and violent commands in every control, what the robot is sent in shares of its limits;
+- `apart`: the same actions in simulation and on the virtual robot;
+- `endings`: how long the robot goes on when its program is busy or has ended;
+- `late`: ticks that come late beside a loop that records;
+- `faults`: what follows every fault that the robot knows, with `--faults N`;
+- `bus`: reads of an SO101's servos while packets are late, lost and damaged;
+- `skew`: of the commands to two arms, of `dual_fr3`.
+
+`fake` is a servo in Python that follows its points at once, on a clock of its own. `robot_late` is the share of a
+virtual robot's ticks that came late: a machine where it is above 0.01 is too busy for figures of time.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import time
+from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from rehearsal import apart, bus, endings, fake, faults, late, sent, skew
 
-from rcs.devices import ArmLimits, ArmState, StreamedArm, StreamOptions, StreamPoint
-from rcs.robots import FR3
-
-PERIOD = 1 / 30
-"""Between commands [s]."""
-LIMITS = ArmLimits(FR3.joint_lower, FR3.joint_upper, FR3.velocity_limit, FR3.acceleration_limit, FR3.jerk_limit)
-RATES = (1000.0, 500.0, 250.0, 100.0)
-"""At which arms are streamed to [Hz]: FR3, UR5e, xArm7, SO101."""
-
-Array = NDArray[np.float64]
+ARMS = ("fr3", "ur5e", "xarm7", "so101")
+ROBOTS = ("fake", *ARMS, "dual_fr3")
 
 
-def worst(points: Array, rate: float, limits: ArmLimits) -> dict[str, float]:
-    """Return the largest speed, acceleration and jerk of points (N, dof) at a rate [Hz], in shares of the limits."""
-    speed, acceleration, jerk = (np.abs(np.diff(points, k, axis=0)).max(axis=0) * rate**k for k in (1, 2, 3))
-    outside = (points < limits.joint_lower) | (points > limits.joint_upper)
-    return {
-        "worst_speed": round(float((speed / limits.joint_velocity).max()), 4),
-        "worst_acceleration": round(float((acceleration / limits.joint_acceleration).max()), 4),
-        "worst_jerk": round(float((jerk / limits.joint_jerk).max()), 4),
-        "outside": int(outside.any(axis=1).sum()),
+def measurements(robot: str, given: argparse.Namespace) -> dict[str, Callable[[], Any]]:
+    """Return what there is to measure of a robot."""
+    if robot == "fake":
+        return {"sent": lambda: fake.measure(given.commands, given.seconds)}
+    if robot == "dual_fr3":
+        return {"skew": lambda: skew.measure(given.seconds)}
+    found: dict[str, Callable[[], Any]] = {
+        "sent": lambda: sent.measure(robot, given.commands),
+        "apart": lambda: apart.measure(robot),
+        "endings": lambda: endings.measure(robot, given.tries),
+        "late": lambda: late.measure(robot, given.seconds),
     }
+    if given.faults:
+        found["faults"] = lambda: faults.measure(robot, given.faults)
+    if robot == "so101":
+        found["bus"] = lambda: bus.measure(given.reads)
+    return found
 
 
-def next_target(random: np.random.Generator, target: Array, limits: ArmLimits) -> Array:
-    """Return a target: anywhere, at the ends of the ranges, a step away, or a small step away."""
-    lower, upper = limits.joint_lower, limits.joint_upper
-    kind = random.random()
-    if kind < 0.3:
-        return random.uniform(lower, upper)
-    if kind < 0.35:
-        return np.where(random.random(len(lower)) < 0.5, lower, upper)
-    return np.clip(target + random.normal(0.0, 0.2 if kind < 0.5 else 0.02, len(lower)), lower, upper)
+def measured(call: Callable[[], Any]) -> Any:
+    """Return what a measurement finds, or why it failed: the others go on."""
+    try:
+        return call()
+    except Exception as err:  # noqa: BLE001  what fails is a finding
+        return {"failed": f"{type(err).__name__}: {err}"}
 
 
-class Servo(StreamedArm):
-    """An arm that is where the points say, and keeps them."""
+def summary(lines: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the worst figure of all robots for each thing that is promised."""
 
-    def __init__(self, options: StreamOptions) -> None:
-        """Stand at the home posture of the FR3."""
-        super().__init__("servo", LIMITS, options)
-        self.joints = np.array(FR3.home)
-        self.points: list[Array] = []
+    def worst(part: str, name: str) -> Any:
+        values = [line[part][name] for line in lines.values() if name in line.get(part, {})]
+        return max((value for value in values if value is not None), default=None)
 
-    def _read(self) -> ArmState:
-        return ArmState(self.joints, np.zeros_like(self.joints))
-
-    def _write(self, point: StreamPoint) -> None:
-        self.joints = point.position
-        self.points.append(self.joints)
-
-    def _stop(self) -> None:
-        pass
-
-
-class Driven(Servo):
-    """The same on a clock of its own, with a random command now and then: too early, too late, or none for long."""
-
-    def __init__(self, commands: int, rate: float, seed: int = 0) -> None:
-        """Take so many commands."""
-        super().__init__(StreamOptions(rate=rate, is_paced_by_read=True, tracking_error=10.0))
-        self.left, self._wait, self._ticks = commands, 1, round(rate * PERIOD)
-        self._random, self._target = np.random.default_rng(seed), self.joints
-
-    def _write(self, point: StreamPoint) -> None:
-        super()._write(point)
-        self._wait -= 1
-        if self._wait > 0 or not self.left:
-            return
-        self.left -= 1
-        self._target = next_target(self._random, self._target, LIMITS)
-        self.command_joints(self._target)
-        late = self._random.random()
-        self._wait = int(self._ticks * (1.0 if late < 0.8 else self._random.uniform(0.1, 4.0)))
-
-
-def drive(commands: int, rate: float) -> dict[str, Any]:
-    """Send random commands as fast as the arm takes them."""
-    arm = Driven(commands, rate)
-    with arm:
-        arm.command_joints(np.array(FR3.home))
-        while arm.left:
-            time.sleep(0.01)
-        clamped = arm.clamped()
-    return {"rate": rate, "commands": commands, **worst(np.array(arm.points), rate, LIMITS), "clamped": clamped}
-
-
-def keep_time(rate: float, seconds: float) -> float:
-    """Lead an arm in real time beside a loop that commands it; return the share of ticks that were left out."""
-    random = np.random.default_rng(0)
-    with Servo(StreamOptions(rate=rate, missed_ticks=10_000)) as arm:
-        target = np.array(FR3.home)
-        begin = time.monotonic()
-        for k in range(round(seconds / PERIOD)):
-            arm.command_joints(target)
-            target = np.clip(target + random.normal(0.0, 0.01, 7), LIMITS.joint_lower, LIMITS.joint_upper)
-            time.sleep(max(begin + (k + 1) * PERIOD - time.monotonic(), 0.0))
-        return round(arm.missed_ticks / max(arm.ticks + arm.missed_ticks, 1), 5)
-
-
-def measure_fake(commands: int, seconds: float) -> dict[str, Any]:
-    """Return the figures of the servo."""
-    with Servo(StreamOptions()) as arm:
-        advice = arm.real_time_advice
-    late = {f"{rate:g} Hz": keep_time(rate, seconds / len(RATES)) for rate in RATES}
-    return {**drive(commands, 250.0), "late_ticks": late, "real_time": not advice}
-
-
-ROBOTS = {"fake": measure_fake}
+    names = {
+        "sent": ("worst_speed", "worst_acceleration", "worst_jerk", "outside"),
+        "apart": ("apart_mrad",),
+        "endings": ("hold_p99_ms", "orphan_ms"),
+        "late": ("late_ticks",),
+        "bus": ("wrong",),
+        "skew": ("skew_p99_ms",),
+    }
+    found = {name: worst(part, name) for part, own in names.items() for name in own}
+    failed = [f"{robot}: {part}" for robot, line in lines.items() for part, one in line.items() if "failed" in one]
+    return {**{name: value for name, value in found.items() if value is not None}, "failed": failed}
 
 
 def main() -> None:
-    """Print a line for the robot."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robot", choices=ROBOTS, default="fake", help="what is measured")
-    parser.add_argument("--commands", type=int, default=10_000, help="random commands")
-    parser.add_argument("--seconds", type=float, default=10.0, help="in real time, for late ticks")
-    chosen = parser.parse_args()
-    print(json.dumps({"robot": chosen.robot, **ROBOTS[chosen.robot](chosen.commands, chosen.seconds)}))
+    parser.add_argument("--robot", choices=(*ROBOTS, "all"), default="fake", help="what is measured")
+    parser.add_argument("--only", nargs="+", metavar="PART", help="some of the measurements, such as: sent late")
+    parser.add_argument("--commands", type=int, default=6_000, help="random commands")
+    parser.add_argument("--seconds", type=float, default=10.0, help="in real time, for late ticks and skew")
+    parser.add_argument("--tries", type=int, default=2, help="of each way to end")
+    parser.add_argument("--faults", type=int, default=0, help="moments for each fault")
+    parser.add_argument("--reads", type=int, default=10_000, help="of servos")
+    given = parser.parse_args()
+    lines: dict[str, dict[str, Any]] = {}
+    for robot in ROBOTS if given.robot == "all" else (given.robot,):
+        parts = measurements(robot, given)
+        lines[robot] = {
+            part: measured(call) for part, call in parts.items() if given.only is None or part in given.only
+        }
+        print(json.dumps({"robot": robot, **lines[robot]}), flush=True)
+    print(json.dumps({"benchmark": "hardware", "robots": list(lines), **summary(lines)}))
 
 
 if __name__ == "__main__":

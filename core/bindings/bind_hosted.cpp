@@ -6,6 +6,7 @@
 
 #include <tuple>
 
+#include "clamped.hpp"
 #include "overrides.hpp"
 #include "rcs/host_desk.hpp"
 #include "rcs/hosted.hpp"
@@ -43,9 +44,9 @@ struct Connected final : Hosted {
   "-> None"
 
 template <typename Hosted, typename Base>
-void bind(nb::module_& m, const char* name, const char* doc, const char* signature) {
+nb::class_<Hosted, Base> bind(nb::module_& m, const char* name, const char* doc, const char* signature) {
   static_assert(sizeof(Connected<Hosted>) == sizeof(Hosted));
-  nb::class_<Hosted, Base>(m, name, doc)
+  return nb::class_<Hosted, Base>(m, name, doc)
       .def(
           "__init__",
           [](Hosted* self, const Base& like, nb::callable connect, double answer) {
@@ -64,8 +65,14 @@ void bind(nb::module_& m, const char* name, const char* doc, const char* signatu
 void bind_hosted(nb::module_& m) {
   using rcs::HostCall, rcs::HostDesk, rcs::HostedArm, rcs::HostedGripper, rcs::HostedHand, rcs::HostOutcome,
       rcs::HostRequest;
-  bind<HostedArm, rcs::Arm>(m, "HostedArm", "An arm whose driver runs in a process of its own.",
-                            RCS_HOSTED_INIT("Arm"));
+  bind<HostedArm, rcs::Arm>(m, "HostedArm", "An arm whose driver runs in a process of its own.", RCS_HOSTED_INIT("Arm"))
+      .def_prop_ro("is_streamed", &HostedArm::is_streamed,
+                   "Whether it is a `StreamedArm` there. Only such an arm has `period` and `clamped`.")
+      .def_prop_rw("period", &HostedArm::period, &HostedArm::set_period,
+                   "Time between commands [s], for which they are planned. Set it before the first one.")
+      .def(
+          "clamped", [](const HostedArm& arm) { return counts_of(arm.clamped()); },
+          "How many commands since `open` asked for more than is allowed, by what was too much, as last measured.");
   bind<HostedGripper, rcs::Gripper>(m, "HostedGripper", "A gripper whose driver runs in a process of its own.",
                                     RCS_HOSTED_INIT("Gripper"));
   bind<HostedHand, rcs::Hand>(m, "HostedHand", "A hand whose driver runs in a process of its own.",
@@ -93,6 +100,7 @@ void bind_hosted(nb::module_& m) {
           "values", [](const HostRequest& request) { return to_array(request.values); }, nb::rv_policy::move)
       .def_ro("valid_for", &HostRequest::valid_for, "What is left of the time of a command [s].")
       .def_ro("force", &HostRequest::force, "Grasping force [N], or None.")
+      .def_ro("period", &HostRequest::period, "Time between commands to a streamed arm [s]; 0 for the usual one.")
       .def_ro("is_void", &HostRequest::is_void, "Whether the device was held after the program asked.");
   nb::class_<HostDesk>(m, "HostDesk",
                        "Where one device of a host is served: requests of the program come in, measurements and "

@@ -4,6 +4,7 @@
 #include <nanobind/stl/set.h>
 #include <nanobind/stl/shared_ptr.h>
 
+#include "clamped.hpp"
 #include "overrides.hpp"
 #include "rcs/kinematics.hpp"
 #include "rcs/streamed_arm.hpp"
@@ -39,7 +40,7 @@ rcs::TcpBox make_box(std::array<double, 3> lower, std::array<double, 3> upper,
 }  // namespace
 
 void bind_streamed_arm(nb::module_& m) {
-  using rcs::Clamped, rcs::StreamedArm, rcs::StreamOptions, rcs::StreamPoint, rcs::TcpBox;
+  using rcs::StreamedArm, rcs::StreamOptions, rcs::StreamPoint, rcs::TcpBox;
   nb::class_<StreamPoint> point(m, "StreamPoint", "Where the joints are to be at one tick.");
   def_array(point, "position", &StreamPoint::position, "Joint positions [rad].");
   def_array(point, "velocity", &StreamPoint::velocity, "Joint velocities [rad/s].");
@@ -125,17 +126,7 @@ void bind_streamed_arm(nb::module_& m) {
       .def_prop_rw("period", &StreamedArm::period, &StreamedArm::set_period,
                    "Time between commands [s], for which they are planned. Set it before the first one.")
       .def(
-          "clamped",
-          [](const StreamedArm& arm) {
-            const Clamped all = arm.clamped();
-            nb::typed<nb::dict, nb::str, nb::int_> counts;
-            counts["range"] = all.range;
-            counts["speed"] = all.speed;
-            counts["acceleration"] = all.acceleration;
-            counts["jerk"] = all.jerk;
-            counts["box"] = all.box;
-            return counts;
-          },
+          "clamped", [](const StreamedArm& arm) { return counts_of(arm.clamped()); },
           "How many commands since `open` asked for more than is allowed, by what was too much.")
       .def_prop_ro("ticks", &StreamedArm::ticks, "Points written since `open`.")
       .def_prop_ro("missed_ticks", &StreamedArm::missed_ticks, "Ticks left out because the thread came too late.")

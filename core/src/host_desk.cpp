@@ -66,7 +66,7 @@ std::optional<HostRequest> HostDesk::next(double seconds) {
   if (!is_used_ || !memory_->request.read(asked)) return {};
   last_ = asked.number;
   const std::uint32_t stops = asked.stops;
-  HostRequest request{asked.number, asked.call, {}, kForever, {}, stops, stops != memory_->stops};
+  HostRequest request{asked.number, asked.call, {}, kForever, {}, asked.period, stops, stops != memory_->stops};
   const auto count = std::clamp<std::int32_t>(asked.count, 0, kHostValues);
   request.values.assign(asked.values.begin(), asked.values.begin() + count);
   if (!std::isnan(asked.force)) request.force = asked.force;
@@ -101,6 +101,7 @@ void HostDesk::show(const ArmState& state) {
   measured.time = state.time;
   measured.device_time = state.device_time;
   measured.mode.set(state.mode);
+  if (const auto* streamed = dynamic_cast<const StreamedArm*>(&device_)) measured.clamped = streamed->clamped();
   memory_->measured.write(measured);
 }
 

@@ -65,6 +65,7 @@ struct HostAsked {
   std::int32_t count;
   std::array<double, kHostValues> values;
   double force;              // NaN for none
+  double period;             // s, between commands to a streamed arm; 0 for the usual one
   std::int64_t valid_until;  // ns
 };
 
@@ -79,6 +80,7 @@ struct HostMeasured {
   std::array<std::int32_t, 5> counts;
   std::array<std::array<double, kHostValues>, 5> values;
   double opening, force, time, device_time;
+  Clamped clamped;  // of a streamed arm
   HostText<64> mode;
   HostText<512> failure;  // why there is nothing newer, or empty
 };

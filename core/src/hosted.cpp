@@ -91,7 +91,8 @@ class HostLink {
   }
 
   /// Ask for a call and wait for its end, or until a command is late.
-  HostAnswer ask(HostCall call, std::span<const double> values = {}, double valid_for = kForever, double force = kNaN) {
+  HostAnswer ask(HostCall call, std::span<const double> values = {}, double valid_for = kForever, double force = kNaN,
+                 double period = 0.0) {
     const bool is_command = call <= HostCall::opening;
     if (!is_command) await_end(asked_, kForever);
     HostAsked asked{};
@@ -101,6 +102,7 @@ class HostLink {
     asked.count = static_cast<std::int32_t>(values.size());
     std::ranges::copy(values, asked.values.begin());
     asked.force = force;
+    asked.period = period;
     asked.valid_until = valid_for < 1e9 ? host_clock() + static_cast<std::int64_t>(valid_for * 1e9) : INT64_MAX;
     memory_->request.write(asked);
     memory_->asked = asked.number;
@@ -316,8 +318,8 @@ void HostLine::guide() { link()->ask(HostCall::guide); }
 bool HostLine::has_arrived() { return link()->ask(HostCall::has_arrived).flag != 0; }
 HostMeasured HostLine::measured() { return link()->measured(); }
 
-void HostLine::command(HostCall call, std::span<const double> values, double valid_for, double force) {
-  link()->ask(call, values, valid_for, force);
+void HostLine::command(HostCall call, std::span<const double> values, double valid_for, double force, double period) {
+  link()->ask(call, values, valid_for, force, period);
 }
 
 namespace {
@@ -338,27 +340,41 @@ void require_room(const std::string& name, int joints) {
 HostedArm::HostedArm(const Arm& like, HostLine::Connect connect, double answer)
     : Hosted<Arm>(like.can_guide(), std::move(connect), answer, like.name(), like.limits(), like.commands()) {
   require_room(name(), dof());
+  if (const auto* streamed = dynamic_cast<const StreamedArm*>(&like)) {
+    rate_ = streamed->options().rate;
+    period_ = streamed->period();
+  }
+}
+
+void HostedArm::set_period(double period) {
+  if (period * rate_ < 1.0 || period >= 10.0)
+    throw InvalidSetup(name() + ": valid is a period of commands from one tick to 10 s, of a streamed arm");
+  period_ = period;
+}
+
+Clamped HostedArm::clamped() const {
+  const std::lock_guard lock(mutex_);
+  return clamped_;
 }
 
 ArmState HostedArm::do_state() {
   const HostMeasured measured = line_.measured();
+  {
+    const std::lock_guard lock(mutex_);
+    clamped_ = measured.clamped;
+  }
   return {values_of(measured, 0), values_of(measured, 1), measured.time,          measured.device_time,
           values_of(measured, 2), values_of(measured, 3), values_of(measured, 4), measured.mode.get()};
 }
 
-void HostedArm::do_command_joints(std::span<const double> joints) {
-  line_.command(HostCall::joints, joints, valid_for());
+void HostedArm::send(HostCall call, std::span<const double> values) {
+  line_.command(call, values, valid_for(), kNaN, period_);
 }
-void HostedArm::do_command_pose(const Pose& pose_tcp_in_base) {
-  line_.command(HostCall::pose, pose_tcp_in_base.tquat(), valid_for());
-}
-void HostedArm::do_command_twist(std::span<const double> twist) { line_.command(HostCall::twist, twist, valid_for()); }
-void HostedArm::do_command_velocities(std::span<const double> velocities) {
-  line_.command(HostCall::velocities, velocities, valid_for());
-}
-void HostedArm::do_command_torques(std::span<const double> torques) {
-  line_.command(HostCall::torques, torques, valid_for());
-}
+void HostedArm::do_command_joints(std::span<const double> joints) { send(HostCall::joints, joints); }
+void HostedArm::do_command_pose(const Pose& pose_tcp_in_base) { send(HostCall::pose, pose_tcp_in_base.tquat()); }
+void HostedArm::do_command_twist(std::span<const double> twist) { send(HostCall::twist, twist); }
+void HostedArm::do_command_velocities(std::span<const double> velocities) { send(HostCall::velocities, velocities); }
+void HostedArm::do_command_torques(std::span<const double> torques) { send(HostCall::torques, torques); }
 
 HostedGripper::HostedGripper(const Gripper& like, HostLine::Connect connect, double answer)
     : Hosted<Gripper>(like.can_guide(), std::move(connect), answer, like.name(), like.max_width(), like.max_force()) {}

@@ -14,6 +14,8 @@ constexpr double kReturnSpeed = 0.1;
 constexpr int kPlaces = 8;
 // How far outside of its box a TCP still counts as inside [m].
 constexpr double kBoxTolerance = 1e-4;
+// How far outside of its range a joint still counts as inside [rad].
+constexpr double kRangeTolerance = 1e-6;
 
 double outside(const TcpBox& box, std::span<const double> joints) {
   const std::array<double, 3> tcp = box.tcp(joints);
@@ -58,7 +60,8 @@ void StreamLeader::set_range(std::span<const double> joints) {
     is_wide_ = is_wide_ || joints[i] < lower(i) || joints[i] > upper(i);
   }
   trajectory_ = std::make_unique<Trajectory>(range);
-  if (options_.box) braking_ = std::make_unique<Trajectory>(std::move(range));
+  range_now_ = range;
+  braking_ = std::make_unique<Trajectory>(std::move(range));
 }
 
 void StreamLeader::forget_asked() {
@@ -112,12 +115,36 @@ void StreamLeader::go_on(double period) {
 
 const StreamPoint& StreamLeader::advance() {
   const double tick = 1.0 / options_.rate;
+  if (!is_still()) stay_in_range(tick);
   if (options_.box && !is_still()) stay_in_box(tick);
   trajectory_->advance(memory_.data(), tick);
   std::ranges::copy(trajectory_->position(), point_.position.begin());
   std::ranges::copy(trajectory_->velocity(), point_.velocity.begin());
   std::ranges::copy(trajectory_->acceleration(), point_.acceleration.begin());
   return point_;
+}
+
+// Targets that come every few ticks lead a plan to places where it cannot stop any more inside of the range. If it
+// could not after this tick, it brakes now.
+void StreamLeader::stay_in_range(double tick) {
+  trajectory_->look(memory_.data(), tick);
+  bool is_near = false;
+  for (std::size_t i = 0; i < goal_.size() && !is_near; ++i) {
+    const double position = trajectory_->position()[i], velocity = trajectory_->velocity()[i];
+    const double most = limits_.acceleration[i], lag = 2.0 * most / limits_.jerk[i];
+    const double way = std::abs(velocity) * (0.5 * std::abs(velocity) / most + lag) + most * lag * lag;
+    is_near = velocity > 0.0 ? position + way > range_now_.upper[i] : position - way < range_now_.lower[i];
+  }
+  if (!is_near) return;
+  tried_ = memory_;
+  braking_->advance(tried_.data(), tick);
+  braking_->brake(tried_.data(), 1.0);
+  braking_->look(tried_.data(), braking_->remaining(tried_.data()));
+  for (std::size_t i = 0; i < goal_.size(); ++i) {
+    const double place = braking_->position()[i];
+    if (place <= range_now_.upper[i] + kRangeTolerance && place >= range_now_.lower[i] - kRangeTolerance) continue;
+    return trajectory_->brake(memory_.data(), 1.0);
+  }
 }
 
 // From where the arm is, it can stop inside of the box; if it could not after this tick, it brakes now. One that is

@@ -43,9 +43,11 @@ class StreamLeader {
   double upper(std::size_t joint) const { return limits_.upper[joint] - options_.margin; }
   void set_range(std::span<const double> joints);
   void forget_asked();
+  void stay_in_range(double tick);
   void stay_in_box(double tick);
 
   const MotionLimits limits_;
+  MotionLimits range_now_;  // with what was outside of the range
   const StreamOptions& options_;
   std::unique_ptr<Trajectory> trajectory_, braking_;
   std::vector<double> memory_, tried_;

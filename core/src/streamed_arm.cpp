@@ -242,16 +242,20 @@ struct StreamedArm::Loop {
 
   // Stop first: an exception from Python waits for the interpreter to give its message.
   void break_down(const std::string& what, const std::exception& error) {
+    is_breaking = true;
     const std::string failure = stop_leading();
     if (what == "read") is_reading = false;
     take_time([&] {
       const bool is_said = dynamic_cast<const DeviceFault*>(&error);
       arm.set_fault((is_said ? "" : what + " failed: ") + words_of(error) + failure);
     });
+    is_breaking = false;
   }
   void break_down(const std::string& reason) {
+    is_breaking = true;
     const std::string failure = stop_leading();
     take_time([&] { arm.set_fault(reason + failure); });
+    is_breaking = false;
   }
 
   std::string words_of(const std::exception& error) const { return arm.words_of(error).value_or(error.what()); }
@@ -311,7 +315,7 @@ struct StreamedArm::Loop {
       taken_holds = all;
       done = std::max(done, held.load());
       if (is_asked && now >= deadline) ++lapses;  // whoever keeps it
-      if (std::exchange(gave_way, false)) try_to("start", [this] { stand_up(); });
+      if (std::exchange(gave_way, false)) start();
       brake();
     }
     if (is_closing) return brake();
@@ -321,7 +325,7 @@ struct StreamedArm::Loop {
       done = order.number;
       if (!arm.fault().empty()) return;  // it came between the check of this command and its sending
       deadline = order.deadline;
-      if (now < deadline && (is_led || try_to("start", [this] { stand_up(); }))) {
+      if (now < deadline && (is_led || start())) {
         if (order.kind != kind && !stands()) return brake();  // it came before this one was seen
         kind = order.kind;
         if (kind == CommandKind::joints)
@@ -342,6 +346,13 @@ struct StreamedArm::Loop {
       leader.go_on(period);
       since = 0;
     }
+  }
+
+  bool start() {
+    is_starting = true;
+    const bool has_started = try_to("start", [this] { stand_up(); });
+    is_starting = false;
+    return has_started;
   }
 
   // From here on the arm is led, at first to where it is.
@@ -416,6 +427,8 @@ struct StreamedArm::Loop {
   std::atomic<std::uint64_t> rested = 0;  // of these, the last one after which the arm stood still
   std::atomic<std::uint64_t> ticks = 0, missed = 0, lapses = 0;
   std::atomic<bool> is_running = false, is_led = false, is_closing = false, is_reading = true;
+  std::atomic<bool> is_starting = false;   // for a command that was near
+  std::atomic<bool> is_breaking = false;   // it has stopped, and its fault is about to be set
   std::atomic<bool> is_abandoned = false;  // another thread stopped it because it did not answer
   std::atomic<bool> has_priority = false, has_locked = false;
   std::atomic<Request> request = Request::none;
@@ -470,7 +483,7 @@ ArmState StreamedArm::do_state() {
 }
 
 void StreamedArm::do_command_joints(std::span<const double> joints) {
-  if (!loop_->is_led) require_near(joints);
+  if (!loop_->is_led && !loop_->is_starting) require_near(joints);
   send(CommandKind::joints, joints);
 }
 
@@ -480,6 +493,7 @@ void StreamedArm::require_near(std::span<const double> joints) {
   for (std::size_t i = 0; i < joints.size(); ++i) {
     const double distance = std::abs(joints[i] - measured[i]);
     if (distance <= options_.first_step) continue;
+    if (loop_->is_breaking || !fault().empty()) return;  // the command is not followed
     std::ostringstream text;
     text << name() << ": the first target must be near the arm: joint " << i << " is at " << measured[i]
          << " rad and its target " << joints[i] << " rad is " << distance << " rad away, valid is at most "

@@ -591,6 +591,26 @@ class HostedArm(Arm):
     def host(self) -> int:
         """The number of the process of the host, or 0 where there is none."""
 
+    @property
+    def is_streamed(self) -> bool:
+        """
+        Whether it is a `StreamedArm` there. Only such an arm has `period` and `clamped`.
+        """
+
+    @property
+    def period(self) -> float:
+        """
+        Time between commands [s], for which they are planned. Set it before the first one.
+        """
+
+    @period.setter
+    def period(self, arg: float, /) -> None: ...
+
+    def clamped(self) -> dict[str, int]:
+        """
+        How many commands since `open` asked for more than is allowed, by what was too much, as last measured.
+        """
+
 class HostedGripper(Gripper):
     """A gripper whose driver runs in a process of its own."""
 
@@ -673,6 +693,10 @@ class HostRequest:
         """Grasping force [N], or None."""
 
     @property
+    def period(self) -> float:
+        """Time between commands to a streamed arm [s]; 0 for the usual one."""
+
+    @property
     def is_void(self) -> bool:
         """Whether the device was held after the program asked."""
 
@@ -720,7 +744,7 @@ class HostDesk:
     def show_failure(self, reason: str) -> None:
         """Say why there is no newer measurement."""
 
-HOST_MEMORY: int = 3896
+HOST_MEMORY: int = 3944
 
 class IkStatus(enum.Enum):
     """What inverse kinematics found."""

@@ -14,6 +14,7 @@ import rcs
 from rcs.devices import ArmState, GripperState, HandState, StreamedArm, StreamOptions, StreamPoint
 from rcs.devices.fakes import FakeArm, FakeGripper, FakeHand
 from rcs.envs.env import Env
+from rcs.envs.freshness import Freshness
 from rcs.errors import DeviceFault
 from rcs.hardware import Site
 from rcs.hardware.fake import limits_of
@@ -170,6 +171,22 @@ def test_an_arm_without_a_clock_may_stand_still_for_ever() -> None:
         for _ in range(15):
             *_, truncated, _ = env.step(STAY)
             assert not truncated
+
+
+def test_numbers_that_repeat_are_old_from_when_the_arm_is_led_not_from_a_pause_of_the_program_before() -> None:
+    with home_arm(FakeArm) as arm:
+        freshness = Freshness(arm, stale_after=0.1)
+
+        def judge(ahead: float) -> None:
+            freshness.judge(ArmState(HOME, [0.0] * arm.dof, time=time.monotonic()), HOME + ahead)
+
+        judge(0.0)
+        time.sleep(0.15)
+        judge(0.2)
+        assert arm.fault == ""
+        time.sleep(0.15)
+        judge(0.2)
+        assert "nothing new measured for 0.1" in arm.fault
 
 
 def test_an_arm_that_says_when_it_measured_is_taken_at_its_word() -> None:

@@ -466,3 +466,23 @@ def test_rcs_stop_without_hosts_says_so() -> None:
     stop = rcs_command("stop")
     assert "No host" in stop.communicate()[0]
     assert stop.returncode == 0
+
+
+def test_a_streamed_arm_in_a_host_plans_for_the_rate_of_commands_and_counts_what_it_did_not_do() -> None:
+    arm = made("arm", "unruly:ServoDriver", "servo", FR3)
+    options: Any = {"robot": "fr3", "end_effector": "none", "relative": "absolute", "frequency": 50.0}
+    with rcs.make("Free", hardware={"fr3": arm}, **options) as env:
+        env.reset()
+        for ahead in (0.0, 0.0, 1.0, -1.0, 1.0):
+            *_, info = env.step({"joints": HOME + 0.05 * ahead})
+        assert arm.state().mode == "0.0200"
+        assert info["clamped"]["fr3"]["acceleration"] > 0
+        with pytest.raises(InvalidSetup, match="from one tick"):
+            arm.period = 1e-3
+
+
+def test_an_arm_in_a_host_that_is_not_streamed_counts_nothing(tmp_path: Path) -> None:
+    arm = unruly_arm(tmp_path)
+    assert not arm.is_streamed
+    with pytest.raises(InvalidSetup, match="of a streamed arm"):
+        arm.period = 1 / 30

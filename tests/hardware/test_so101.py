@@ -22,7 +22,7 @@ from rcs.hardware.servo_bus import ServoBus
 from rcs.hardware.so101 import GRIPPER, NAMES, So101Arm, So101Driver, So101Gripper, read_calibration
 from rcs.robots.so101.description import SO101
 from rcs.robots.so101_gripper.description import SO101_GRIPPER
-from rcs.virtual import VirtualProcess, read_events, read_ticks
+from rcs.virtual import VirtualProcess, read_events, read_points, read_ticks
 
 pytestmark = pytest.mark.hardware
 pytest.importorskip("scservo_sdk", reason="the driver of SO101 arms needs feetech-servo-sdk")
@@ -223,6 +223,23 @@ def test_an_overload_is_named_by_joint_and_recovers_without_a_lunge(virtual, tmp
     ticks = read_ticks(tmp_path / "log")
     after = ticks[(ticks["time"] > began) & (ticks["time"] < began + 0.4)]
     assert np.abs(after["velocities"]).max() < 0.5
+
+
+def test_goals_come_to_rest_at_the_end_of_the_range_instead_of_being_cut_off(virtual, tmp_path):
+    arm, _ = devices(virtual)
+    with arm:
+        end = np.array(arm.state().joints)
+        end[3] = arm.limits.joint_upper[3]
+        switch_on(arm)
+        arm.command_joints(end)
+        time.sleep(1.0)
+        assert arm.fault == ""
+    virtual.close()
+    goals = read_points(tmp_path / "log")["joints"][:-1, 3]  # the last one is where it stays when it is closed
+    assert goals.max() > end[3] - 0.02
+    quantum, rate = 2 * np.pi / 4096, 100.0
+    accelerations = (np.abs(np.diff(goals, 2)) - 2 * quantum) * rate**2
+    assert accelerations.max() < 1.01 * arm.limits.joint_acceleration[3]
 
 
 @pytest.mark.parametrize(

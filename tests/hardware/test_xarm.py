@@ -178,7 +178,7 @@ def test_a_first_target_far_away_is_refused_and_nothing_moves(arm: Arm) -> None:
         (("code", "24"), "C24: a joint was led too fast", 0.1),
         (("code", "99"), "C99: see the manual", 0.1),
         (("freeze", "1"), "has not answered", 0.3),
-        (("lose", "1"), "has not answered", 0.3),
+        (("lose", "400"), "has not answered", 0.3),
         (("cut",), "cable", 0.3),
     ],
 )
@@ -301,6 +301,19 @@ def test_a_tcp_that_would_be_too_fast_is_a_fault_before_the_controller_stops_it(
         assert "C60" not in arm.fault
         arm.recover()
         lead(arm, HOME)
+
+
+@pytest.mark.parametrize("told", [("lose", "3"), ("corrupt", "3"), ("lose", "1/100"), ("late", "20/100")])
+def test_packets_that_are_lost_or_late_now_and_then_do_not_disturb(
+    told: tuple[str, ...], virtual: VirtualProcess
+) -> None:
+    with XarmDriver().arm(ADDRESS, XARM7, CALM) as arm:
+        arm.recover()
+        start = arm.state().joints
+        arm.command_joints(start)
+        virtual.tell(*told)
+        lead(arm, start + 0.15)
+        lead(arm, start)
 
 
 TCP = (0.0, 0.0, 0.15, 0.0, 0.0, 0.0, 1.0)

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from rcs.devices import ArmState, StreamedArm, StreamOptions, StreamPoint
 from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.errors import InvalidAction, MissingDependency
 from rcs.hardware import Driver, HostTimes
@@ -120,6 +121,30 @@ class UnrulyGripper(Unruly, FakeGripper):
     def _command_opening(self, opening: float, force: float | None) -> None:
         self.look("command")
         super()._command_opening(opening, force)
+
+
+class Servo(StreamedArm):
+    """An arm that is where its points are; its mode is for which time between commands it plans."""
+
+    def __init__(self, about: Any) -> None:
+        super().__init__("fr3", limits_of(about), StreamOptions(rate=100.0, missed_ticks=1000))
+        self.joints = np.array(about.home)
+
+    def _read(self) -> ArmState:
+        return ArmState(self.joints, [0.0] * self.dof, mode=f"{self.period:.4f}")
+
+    def _write(self, point: StreamPoint) -> None:
+        self.joints = point.position
+
+    def _stop(self) -> None:
+        pass
+
+
+class ServoDriver(Driver):
+    hosted = True
+
+    def arm(self, address: str, about: Any, options: Mapping[str, Any]) -> Servo:
+        return Servo(about)
 
 
 class UnrulyDriver(Driver):

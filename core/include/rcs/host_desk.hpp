@@ -25,6 +25,7 @@ struct HostRequest {
   std::vector<double> values;
   double valid_for;             ///< s, what is left of it
   std::optional<double> force;  ///< N, of grippers
+  double period;                ///< s, between commands to a streamed arm; 0 for the usual one
   std::uint32_t stops;          ///< how often the program had told the device to hold when it asked
   bool is_void;                 ///< the device was held since, so that the request counts no more
 };

@@ -1,6 +1,7 @@
 // Devices whose drivers run in a process of their own, the host: the program's side of the memory that both share.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -12,6 +13,7 @@
 #include "rcs/arm.hpp"
 #include "rcs/gripper.hpp"
 #include "rcs/hand.hpp"
+#include "rcs/streamed_arm.hpp"
 
 namespace rcs {
 
@@ -68,7 +70,8 @@ class HostLine {
   void recover();
   void guide();
   bool has_arrived();
-  void command(HostCall call, std::span<const double> values, double valid_for, double force = kNaN);
+  void command(HostCall call, std::span<const double> values, double valid_for, double force = kNaN,
+               double period = 0.0);
   /// What the device last measured. Throws `DeviceFault` when it does not measure any more.
   HostMeasured measured();
   /// The number of the host's process, or 0.
@@ -115,6 +118,14 @@ class HostedArm : public Hosted<Arm> {
   /// `like` is an arm of the driver that is never opened: its name, limits and kinds of commands are this one's.
   HostedArm(const Arm& like, HostLine::Connect connect, double answer);
 
+  /// Whether it is a `StreamedArm` there. Only such an arm has what follows.
+  bool is_streamed() const { return rate_ > 0.0; }
+  /// Time between commands [s], for which they are planned. Set it before the first one.
+  double period() const { return period_; }
+  void set_period(double period);
+  /// Commands that were clamped since `open`, as last measured.
+  Clamped clamped() const;
+
  protected:
   ArmState do_state() override;
   void do_command_joints(std::span<const double> joints) override;
@@ -122,6 +133,14 @@ class HostedArm : public Hosted<Arm> {
   void do_command_twist(std::span<const double> twist) override;
   void do_command_velocities(std::span<const double> velocities) override;
   void do_command_torques(std::span<const double> torques) override;
+
+ private:
+  void send(HostCall call, std::span<const double> values);
+
+  double rate_ = 0.0;  // points per second, 0 for an arm that is not streamed
+  std::atomic<double> period_ = 0.0;
+  mutable std::mutex mutex_;
+  Clamped clamped_;
 };
 
 /// A gripper with a host.

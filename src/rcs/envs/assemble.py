@@ -9,7 +9,7 @@ from functools import partial
 
 from gymnasium.vector import AutoresetMode
 
-from rcs.devices import Gripper, StreamedArm
+from rcs.devices import Gripper
 from rcs.envs import spaces as keys
 from rcs.envs.camera_port import CameraPort, FreshFrames
 from rcs.envs.chain import Chain
@@ -27,7 +27,7 @@ from rcs.envs.load_ports import PrivilegedPort, SimContactPort, SimLoadPort
 from rcs.envs.native import native_space, require_native
 from rcs.envs.parts import Parts
 from rcs.envs.pixel_port import PixelPort
-from rcs.envs.ports import ArmPort, GripperPort, HandPort, Port
+from rcs.envs.ports import ArmPort, GripperPort, HandPort, Port, is_streamed
 from rcs.envs.randomiser import Randomiser
 from rcs.envs.scenario import Scenario
 from rcs.envs.setup import Setup
@@ -255,7 +255,7 @@ def _ports_of(parts: Parts, placement: RobotPlacement, body: SimRobot | None) ->
         kinematics, effort = kinematics_of(placement.arm, placement.end_effector), placement.arm.effort_limit
         limit = limit_step(placement.arm, parts.setup.frequency) if parts.setup.stepping == "sync" else None
         times = _times(parts, devices.arm_stale_after)
-        if isinstance(arm, StreamedArm):
+        if is_streamed(arm):
             arm.period = 1.0 / parts.setup.frequency
         native = native_space(parts.setup, placement.arm) if parts.setup.native else None
         ports.append(ArmPort(arm, kinematics, native=native, observed=observed, effort=effort, limit=limit, **times))

@@ -37,6 +37,7 @@ class Freshness:
         self._stale_after = stale_after
         self._mark: float | bytes | None = None
         self._target: NDArray[np.float64] | None = None
+        self._was_led = False
 
     def judge(self, state: ArmState | GripperState | HandState, target: NDArray[np.float64] | None = None) -> None:
         """Look at what was measured; the device is in its fault state after it if that is too old.
@@ -48,9 +49,9 @@ class Freshness:
         has_clock = math.isfinite(state.device_time)
         mark = state.device_time if has_clock else _numbers(state)
         if mark is None or mark != self._mark:
-            self._mark, self._target, self.time = mark, target, state.time
-        elif not has_clock and not self._is_led(target):
-            self.time = state.time
+            self._mark, self._target, self.time, self._was_led = mark, target, state.time, False
+        elif not has_clock and not self._was_led:  # the age counts from here
+            self.time, self._was_led = state.time, self._is_led(target)
         age = time.monotonic() - self.time
         if age > self._stale_after and not self._device.fault:
             self._device.set_fault(

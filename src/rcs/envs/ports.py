@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from rcs.devices import Arm, Gripper, GripperState, Hand
+from rcs._core import HostedArm
+from rcs.devices import Arm, Gripper, GripperState, Hand, StreamedArm
 from rcs.envs import spaces as keys
 from rcs.envs.device_calls import DeviceCalls
 from rcs.envs.freshness import Freshness
@@ -27,6 +28,11 @@ from rcs.spatial import Pose
 
 OVERSHOOT = 0.1
 """How far a joint may be measured outside its command limits [rad]: servos overshoot and collisions push."""
+
+
+def is_streamed(device: object) -> TypeGuard[StreamedArm | HostedArm]:
+    """Return whether a device is an arm that is streamed to, in this process or in its host."""
+    return isinstance(device, StreamedArm) or (isinstance(device, HostedArm) and device.is_streamed)
 
 
 class Port(ABC):

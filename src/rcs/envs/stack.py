@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from rcs.devices import StreamedArm
 from rcs.envs.chain import Chain
 from rcs.envs.gate import Gate
 from rcs.envs.layers.layer import Layer, Where
-from rcs.envs.ports import Port
+from rcs.envs.ports import Port, is_streamed
 from rcs.envs.spaces import Action, Observation
 from rcs.errors import InvalidAction, InvalidSetup, Refused, UnknownName
 
@@ -247,7 +246,8 @@ class Stack:
 
     def clamped(self) -> dict[str, Mapping[str, int]]:
         """Return how many commands asked streamed arms for more than is allowed since `open`, by arm and by what."""
-        return {port.device.name: port.device.clamped() for port in self.ports if isinstance(port.device, StreamedArm)}
+        arms = [port.device for port in self.ports]
+        return {arm.name: arm.clamped() for arm in arms if is_streamed(arm)}
 
     def open(self) -> None:
         """Connect all devices; where one fails, none stays open."""

@@ -52,10 +52,6 @@ class Driver:
         """Connect nothing."""
         self._links: dict[str, Link[Any]] = {}
 
-    def needs_host(self, options: Mapping[str, Any]) -> bool:
-        """Return whether an arm, gripper or hand with these options runs in a host, where the site does not say."""
-        return self.hosted
-
     def link(
         self, address: str, connect: Callable[[], Connection], disconnect: Callable[[Connection], None]
     ) -> Link[Connection]:

@@ -114,11 +114,8 @@ def _is_amount(value: Any) -> bool:
 class FrankaDriver(Driver):
     """Makes arms and hands; the address is that of the control box. Options of an arm: those of `FrankaOptions`."""
 
+    hosted = True
     gives_way = True
-
-    def needs_host(self, options: Mapping[str, Any]) -> bool:
-        """Return whether the library keeps the interpreter to itself, or cannot be with the hand's in one process."""
-        return options.get("backend") == "pylibfranka"
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
         """Return an arm.

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from rcs._core import HostCall, HostDesk, HostOutcome, HostRequest
-from rcs.devices import Arm, Gripper, Hand, lookup, stop_all
+from rcs.devices import Arm, Gripper, Hand, StreamedArm, lookup, stop_all
 from rcs.errors import DeviceFault, InvalidAction, RcsError, WrongOrder
 from rcs.hardware.driver import Driver, HostTimes
 from rcs.hardware.hosted import GREETING, IN_USE, STOP, STOPPED, Place, Wanted, peer
@@ -239,6 +239,8 @@ def _do(device: Any, request: HostRequest) -> bool | None:
         return device.guide(True)
     if request.valid_for <= 0:  # too late: it ends the command before as it would have done in time
         return device.hold()
+    if request.period and isinstance(device, StreamedArm) and device.period != request.period:
+        device.period = request.period
     command = _COMMANDS[request.call]
     return command(device, request)
 

@@ -95,7 +95,7 @@ def is_hosted(driver: Driver, options: Mapping[str, Any]) -> bool:
     Raises:
         InvalidSetup: The option is neither true nor false.
     """
-    host = options.get("host", driver.needs_host(options))
+    host = options.get("host", driver.hosted)
     if not isinstance(host, bool):
         raise InvalidSetup(f"The option 'host' is {host!r}; valid is true or false.")
     return host

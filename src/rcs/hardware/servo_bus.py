@@ -45,6 +45,8 @@ class ServoBus:
         self.address = address
         self.names = names
         self.timeout = timeout
+        self.is_lost = False
+        """Whether the last request was not answered at all; then the next one is not repeated."""
         self.failures = 0
         """Requests that had to be repeated."""
         self._turn = 0
@@ -108,6 +110,7 @@ class ServoBus:
             if self._packets.syncReadTx(self._port, first, length, list(servos), len(servos)) == 0:
                 found = self._answers(servos, length)
                 if len(found) == len(servos):
+                    self.is_lost = False
                     return {servo: (errors, values[:count]) for servo, (errors, values) in found.items()}
                 request.missing = [servo for servo in servos if servo not in found]
         raise request.lost()
@@ -119,7 +122,7 @@ class ServoBus:
             servo: Its number.
             register: First byte of the register.
             value: What to write.
-            size: Number of bytes, 1 or 2.
+            size: Number of bytes; registers follow each other.
 
         Raises:
             DeviceFault: The servo does not answer.
@@ -129,6 +132,7 @@ class ServoBus:
             self._begin()
             packet = [0, 0, servo, size + 3, 3, register, *value.to_bytes(size, "little"), 0]
             if self._packets.txPacket(self._port, packet) == 0 and self._answers([servo], 0):
+                self.is_lost = False
                 return
         raise request.lost()
 
@@ -208,14 +212,16 @@ class _Request:
             return True
         self._bus.failures += 1
         _log.debug("servo bus %s: no answer of %s to request %d", self._bus.address, self.missing, self._asked - 1)
-        return time.monotonic() - self._begin < self._bus.timeout
+        return not self._bus.is_lost and time.monotonic() - self._begin < self._bus.timeout
 
     def lost(self) -> DeviceFault:
+        self._bus.is_lost = True
         names = self._bus.names
+        times = "once" if self._asked == 2 else f"{self._asked - 1} times"
         some = ", ".join(f"{names[servo]} (servo {servo})" for servo in self.missing)
         who = "none of the servos answers" if len(self.missing) == len(names) else f"no answer of {some}"
         return DeviceFault(
-            f"{who} on the servo bus at {self._bus.address}, asked {self._asked - 1} times in "
+            f"{who} on the servo bus at {self._bus.address}, asked {times} in "
             f"{1e3 * (time.monotonic() - self._begin):.0f} ms; look at the power supply, and at the cable before the "
             "first that is missing"
         )

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from rcs.devices import ArmLimits, ArmState, Gripper, GripperState, StreamedArm, StreamOptions, StreamPoint
 from rcs.errors import DeviceFault, InvalidSetup, require_fields
-from rcs.hardware.driver import Driver
+from rcs.hardware.driver import Driver, HostTimes
 from rcs.hardware.fake import limits_of
 from rcs.hardware.link import Link
 from rcs.hardware.servo_bus import TIMEOUT, ServoBus, signed
@@ -34,8 +34,12 @@ RATE = 100.0
 """Points per second; all servos are read before each [Hz]."""
 MARGIN = 4
 """Positions at the ends of the calibrated range to which nothing is led."""
+KEPT_FREE = (MARGIN + 1) * tau / STEPS
+"""The same for joints [rad], with what rounding takes: points come to rest there and are not cut off."""
 FRESH = 0.02
 """The gripper is shown as the arm's last read has it when that is not older than this [s]."""
+LONGEST_TIMEOUT = 1.0
+"""Longest time for which servos may not answer, as an option [s]."""
 OPENING = 1.0
 """How long servos may take to answer when they are connected [s]."""
 RECOVERY = 0.3
@@ -127,7 +131,7 @@ class So101Options:
     at_close: Literal["release", "hold"] = "release"
     """Whether the motors are switched off when the arm is closed, so that it falls, or it keeps its place and power."""
     timeout: float = TIMEOUT
-    """How long servos may not answer before they count as lost [s], 0.01 to 10."""
+    """How long servos may not answer before they count as lost [s], 0.01 to 1."""
 
     @staticmethod
     def of(options: Mapping[str, Any]) -> So101Options:
@@ -141,8 +145,8 @@ class So101Options:
         if given.at_close not in ("hold", "release"):
             raise InvalidSetup(f"at_close is {given.at_close!r}; valid: 'hold', 'release'.")
         timeout: Any = given.timeout
-        if isinstance(timeout, bool) or not isinstance(timeout, int | float) or not 0.01 <= timeout <= 10.0:
-            raise InvalidSetup(f"timeout is {timeout!r} s; valid is 0.01 to 10 s.")
+        if isinstance(timeout, bool) or not isinstance(timeout, int | float) or not 0.01 <= timeout <= LONGEST_TIMEOUT:
+            raise InvalidSetup(f"timeout is {timeout!r} s; valid is 0.01 to {LONGEST_TIMEOUT:g} s.")
         return given
 
 
@@ -229,6 +233,18 @@ class Servos:
         if first < SETTINGS:
             self.bus.write(servo, LOCK[0], 1, 1)
 
+    def tune(self, servos: Sequence[int]) -> None:
+        """Give servos their gains, and have them go to goals without ramps of their own."""
+        first = GAIN_P[0]
+        gains = bytes(GAINS[register, 1] for register in range(first, first + len(GAINS)))
+        for servo, (_, values) in self.bus.read(servos, first, ACCELERATION[0] + 1 - first).items():
+            if values[: len(gains)] != gains:
+                self.bus.write(servo, LOCK[0], 0, 1)
+                self.bus.write(servo, first, int.from_bytes(gains, "little"), len(gains))
+                self.bus.write(servo, LOCK[0], 1, 1)
+            if values[-1]:
+                self.bus.write(servo, ACCELERATION[0], 0, 1)
+
     def hold(self, servos: Sequence[int]) -> None:
         """Have servos stay where they are."""
         reading = self.read()
@@ -314,10 +330,15 @@ class So101Arm(StreamedArm):
             name: Name in messages.
         """
         silence = options.timeout + 0.2
-        super().__init__(name, limits, StreamOptions(rate=RATE, silence=silence, missed_ticks=round(RATE * silence)))
+        super().__init__(
+            name,
+            limits,
+            StreamOptions(rate=RATE, margin=KEPT_FREE, silence=silence, missed_ticks=round(RATE * silence)),
+        )
         self.link = link
         self._options = options
-        self._is_powered = False
+        self._is_powered = self._is_led = False
+        self._trouble = ""
 
     def _open(self) -> None:
         self.link.open(self)
@@ -333,7 +354,7 @@ class So101Arm(StreamedArm):
             if not self.fault:  # else it is known that they do not answer
                 raise
         finally:
-            self._is_powered = False
+            self._is_powered = self._is_led = False
             self.link.close(self)
 
     def _can_guide(self) -> bool:
@@ -342,13 +363,14 @@ class So101Arm(StreamedArm):
     def _guide(self) -> None:
         with self.link as servos:
             servos.release(ARM)
-        self._is_powered = False
+        self._is_powered = self._is_led = False
 
     def _read(self) -> ArmState:
         with self.link as servos:
             reading, calibrations = servos.read(), servos.calibration
-        if not self.fault and (told := reading.faults(ARM)):  # one that is known is told once, until `recover`
-            raise DeviceFault(told)
+        self._trouble = reading.faults(ARM)
+        if self._trouble and not self._is_led and not self.fault:  # else `_write` tells
+            self.set_fault(self._trouble)
         joints = [calibrations[servo].joint(reading.positions[servo]) for servo in ARM]
         signs = [-1.0 if calibrations[servo].drive_mode else 1.0 for servo in ARM]
         speeds = [sign * reading.speeds[servo] * tau / STEPS for sign, servo in zip(signs, ARM, strict=True)]
@@ -356,18 +378,19 @@ class So101Arm(StreamedArm):
 
     def _start(self) -> None:
         with self.link as servos:
-            for servo in ARM:
-                for register, value in {**GAINS, ACCELERATION: 0}.items():
-                    servos.set(servo, register, value)
+            servos.tune(ARM)
             servos.power(ARM)
-        self._is_powered = True
+        self._is_powered = self._is_led = True
 
     def _write(self, point: StreamPoint) -> None:
+        if self._trouble:
+            raise DeviceFault(self._trouble)
         with self.link as servos:
             goals = {servo: servos.calibration[servo].position(q) for servo, q in zip(ARM, point.position, strict=True)}
             servos.bus.write_all(GOAL[0], goals)
 
     def _stop(self) -> None:
+        self._is_led = False
         if self._is_powered:
             with self.link as servos:
                 servos.hold(ARM)
@@ -458,6 +481,9 @@ class So101Gripper(Gripper):
 
 class So101Driver(Driver):
     """Makes SO101 arms and their grippers, at a serial port; options are those of `So101Options`."""
+
+    hosted = True
+    host_times = HostTimes(answer=2.0, open=5.0)  # arm and gripper wait for each other: one line for both
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> So101Arm:
         """Return an arm, at the path of its serial port."""

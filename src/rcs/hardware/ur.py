@@ -352,6 +352,8 @@ class UrArm(StreamedArm):
 class UrDriver(Driver):
     """Reaches UR arms, and Robotiq grippers that are connected to them, by the IP address of the controller."""
 
+    hosted = True
+
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
         """Return an arm; nothing is connected."""
         return UrArm(address, about, options)

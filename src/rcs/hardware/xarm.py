@@ -8,7 +8,7 @@ A program that ends without a word leaves the arm at its last point.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -42,6 +42,8 @@ AT_REST: Final = 1e-2
 
 SILENCE: Final = 0.2
 """For how long the controller may not answer before that is a fault [s]."""
+ASK_AGAIN: Final = 0.04
+"""After how long without an answer a measurement or a point is sent once more [s]: a packet may be lost."""
 SETTLING: Final = 0.1
 """What the vendor's examples wait for after a change of the mode [s]."""
 PATIENCE: Final = 1.0
@@ -81,7 +83,11 @@ class XarmArm(StreamedArm):
         self._tcp = _pose(options)
         self._tcp_speed = _number(options, "tcp_speed", TCP_SPEED, 0.001, FASTEST_TCP)
         more = {CommandKind.pose} if self._tcp else set[CommandKind]()
-        super().__init__(f"{about.name} at {address}", limits, StreamOptions(rate=rate, more_commands=more))
+        super().__init__(
+            f"{about.name} at {address}",
+            limits,
+            StreamOptions(rate=rate, missed_ticks=max(round(rate * SILENCE), 2), more_commands=more),
+        )
         self._address = address
         self._flange = kinematics_of(about)
         self._period = 1.0 / rate
@@ -103,9 +109,7 @@ class XarmArm(StreamedArm):
 
     def _read(self) -> ArmState:
         begin = time.monotonic()
-        code, rows = self._api.get_joint_states(is_radian=True, num=3)
-        self._require_answer(code)
-        joints, velocities, efforts = rows
+        _, (joints, velocities, efforts) = self._ask(lambda: self._api.get_joint_states(is_radian=True, num=3))
         self._look()
         return ArmState(
             joints,
@@ -115,6 +119,23 @@ class XarmArm(StreamedArm):
             efforts=efforts,
             mode="servo" if self._is_led else "manual" if self._is_given_way else "",
         )
+
+    def _ask(self, call: Callable[[], Any]) -> Any:
+        """Return what a call of the library returns, made once more where no answer comes.
+
+        Raises:
+            DeviceFault: There was none for `SILENCE`.
+        """
+        self._api.set_timeout(ASK_AGAIN)
+        try:
+            while True:
+                found = call()
+                code = found[0] if isinstance(found, list | tuple) else found
+                if code != _NO_ANSWER or self._is_silent:
+                    self._require_answer(code)
+                    return found
+        finally:
+            self._api.set_timeout(SILENCE)
 
     def _require_answer(self, code: int) -> None:
         """Check that there was an answer to a call.
@@ -236,13 +257,10 @@ class XarmArm(StreamedArm):
         """
         if self._trouble:
             raise DeviceFault(self._trouble)
-        code = call(values, is_radian=True)
-        if code == 0:
-            return
+        code = self._ask(lambda: call(values, is_radian=True))
         if code in (_HAS_ERROR, _NOT_READY, _REFUSED):
             self._look()
             raise DeviceFault(self._trouble or f"the controller refuses a point (the library returns {code})")
-        self._require_answer(code)
 
     def _stop(self) -> None:
         self._is_led = self._is_given_way = False

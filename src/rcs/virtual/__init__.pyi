@@ -3,6 +3,7 @@ from rcs.virtual.control import tell as tell
 from rcs.virtual.fault import Fault as Fault
 from rcs.virtual.line import Line as Line
 from rcs.virtual.robot_log import read_events as read_events
+from rcs.virtual.robot_log import read_points as read_points
 from rcs.virtual.robot_log import read_ticks as read_ticks
 from rcs.virtual.sim_driver import SimDriver as SimDriver
 from rcs.virtual.stand_in_arm import StandInArm as StandInArm

@@ -283,6 +283,7 @@ class FrankaWire(Wire):
         self._received.append(1.0)
         if self._generator is None:
             torques = np.array(command["tau_J_d"])
+            self.robot.log_point(torques=torques)
             if not np.isfinite(torques).all():
                 self._abort(MoveStatus.INPUT_ERROR_ABORTED, [Error.TAU_J_RANGE_VIOLATION])
                 return
@@ -295,7 +296,9 @@ class FrankaWire(Wire):
             if command["torque_command_finished"]:
                 self._finish(self.robot.velocities)
             return
-        if errors := self._generator.take(command, ticks):
+        errors = self._generator.take(command, ticks)
+        self.robot.log_point(joints=self._generator.joints)
+        if errors:
             self._abort(MoveStatus.REFLEX_ABORTED, errors)
             return
         self._lead(self._generator)

@@ -1,15 +1,15 @@
-"""What a virtual robot got and did: events as JSON lines, and every tick in a binary file beside them."""
+"""What a virtual robot got and did: events as JSON lines; ticks, and points of clients, in binary files beside them."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 FLUSH = 0.25
 """How long what is logged may wait in memory [s]."""
@@ -27,6 +27,15 @@ def tick_type(dof: int) -> np.dtype[np.void]:
     return np.dtype([("due", np.float64), ("time", np.float64), *joints, *more, ("width", np.float32)])
 
 
+def point_type(dof: int) -> np.dtype[np.void]:
+    """Return the type of a point that a client has sent.
+
+    `time` is when it was taken from the wire, on the monotonic clock [s]; of `joints` [rad] and `torques` [N·m], those
+    that were not sent are NaN.
+    """
+    return np.dtype([("time", np.float64), *((name, np.float64, (dof,)) for name in ("joints", "torques"))])
+
+
 def read_ticks(path: Path | str, robot: str = "") -> NDArray[np.void]:
     """Return the ticks beside a log, a structured array of `tick_type`.
 
@@ -38,13 +47,15 @@ def read_ticks(path: Path | str, robot: str = "") -> NDArray[np.void]:
         OSError: There is no such file.
         KeyError: There is no such robot.
     """
-    with Path(path).open(encoding="utf-8") as file:
-        start = json.loads(file.readline())
-    dofs: dict[str, int] = start["dof"]
-    name = robot or next(iter(dofs))
-    content = _beside(Path(path), name).read_bytes()
-    kind = tick_type(dofs[name])
-    return np.frombuffer(content[: len(content) // kind.itemsize * kind.itemsize], kind)
+    return _read(path, robot, "ticks", tick_type)
+
+
+def read_points(path: Path | str, robot: str = "") -> NDArray[np.void]:
+    """Return the points that clients have sent, as they came on the wire, a structured array of `point_type`.
+
+    Arguments and errors are those of `read_ticks`.
+    """
+    return _read(path, robot, "points", point_type)
 
 
 def read_events(path: Path | str) -> list[dict[str, Any]]:
@@ -52,12 +63,22 @@ def read_events(path: Path | str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in Path(path).read_text("utf-8").splitlines()]
 
 
-def _beside(path: Path, robot: str) -> Path:
-    return path.with_name(f"{path.name}.{robot}.ticks")
+def _read(path: Path | str, robot: str, what: str, kind_of: Callable[[int], np.dtype[np.void]]) -> NDArray[np.void]:
+    with Path(path).open(encoding="utf-8") as file:
+        start = json.loads(file.readline())
+    dofs: dict[str, int] = start["dof"]
+    name = robot or next(iter(dofs))
+    kind = kind_of(dofs[name])
+    content = _beside(Path(path), name, what).read_bytes()
+    return np.frombuffer(content[: len(content) // kind.itemsize * kind.itemsize], kind)
+
+
+def _beside(path: Path, robot: str, what: str) -> Path:
+    return path.with_name(f"{path.name}.{robot}.{what}")
 
 
 class RobotLog:
-    """Writes both files; without a path, nothing."""
+    """Writes the files; without a path, nothing."""
 
     def __init__(self, path: Path | None, dofs: Mapping[str, int], **about: Any) -> None:
         """Open the files.
@@ -74,9 +95,11 @@ class RobotLog:
         self._next_flush = 0.0
         if path is not None:
             self._text = path.open("w", encoding="utf-8")
-            self._kinds = {name: tick_type(dof) for name, dof in dofs.items()}
-            self._files = {name: _beside(path, name).open("wb") for name in dofs}
-            self._rows: dict[str, list[tuple[Any, ...]]] = {name: [] for name in dofs}
+            kinds = {"ticks": tick_type, "points": point_type}
+            each = [(name, what) for name in dofs for what in kinds]
+            self._kinds = {(name, what): kinds[what](dofs[name]) for name, what in each}
+            self._files = {(name, what): _beside(path, name, what).open("wb") for name, what in each}
+            self._rows: dict[tuple[str, str], list[tuple[Any, ...]]] = {one: [] for one in each}
             self.note("", "start", dof=dict(dofs), **about)
 
     def note(self, robot: str, event: str, **values: Any) -> None:
@@ -89,16 +112,21 @@ class RobotLog:
     def tick(self, robot: str, row: tuple[Any, ...]) -> None:
         """Log a tick: the fields of `tick_type`."""
         if self._text is not None:
-            self._rows[robot].append(row)
+            self._rows[robot, "ticks"].append(row)
+
+    def point(self, robot: str, joints: ArrayLike, torques: ArrayLike) -> None:
+        """Log a point that has come: joints or torques, and NaN for the others."""
+        if self._text is not None:
+            self._rows[robot, "points"].append((time.monotonic(), joints, torques))
 
     def flush(self, now: float) -> None:
         """Write what has waited long enough."""
         if self._text is None or now < self._next_flush:
             return
         self._next_flush = now + FLUSH
-        for robot, rows in self._rows.items():
-            self._files[robot].write(np.array(rows, self._kinds[robot]).tobytes())
-            self._files[robot].flush()
+        for one, rows in self._rows.items():
+            self._files[one].write(np.array(rows, self._kinds[one]).tobytes())
+            self._files[one].flush()
             rows.clear()
 
     def close(self) -> None:

@@ -96,6 +96,8 @@ class RtdePort:
         """The registers that were set in the present tick."""
         self.version = VERSION
         """The version of the protocol that is spoken."""
+        self.heed: Callable[[], object] = lambda: None
+        """Called each time registers were set."""
 
     def receive(self) -> None:
         """Answer what has come."""
@@ -174,6 +176,7 @@ class RtdePort:
         for name, value in zip(recipe.names, values, strict=True):
             self.registers[name] = value
         self.was_set.update(recipe.names)
+        self.heed()
 
 
 def _send_whole(connection: TcpConnection, sent: bytes, passed: bytes) -> None:

@@ -277,6 +277,8 @@ class So101Wire(Wire):
             for at in range(2, len(values) - count, count + 1):
                 if 1 <= values[at] <= 6:
                     self._write(values[at] - 1, first, values[at + 1 : at + 1 + count])
+            if first == GOAL and set(values[2 :: count + 1]) >= set(range(1, 6)):
+                self._robot.log_point(joints=[self._angle(number, self._number(number, GOAL)) for number in range(5)])
 
     def _block(self, servo: int, first: int, count: int) -> bytes:
         return bytes(self._servos[servo][first : first + count]).ljust(count, b"\0")

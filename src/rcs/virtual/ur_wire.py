@@ -175,6 +175,7 @@ class UrWire(Wire):
             self._dashboard = self._listen(29999)
             self._scripts = [self._listen(port) for port in (30001, 30002, 30003)]
             self._rtde = RtdePort(self._listen(30004), robot.line, self._outputs(), SOFTWARE, RATE)
+            self._rtde.heed = self._log_point
             if robot.gripper is not None and serial:
                 self._gripper = RobotiqWire(robot, serial=Path(serial))
             elif robot.gripper is not None:
@@ -387,6 +388,10 @@ class UrWire(Wire):
         """Return input registers."""
         registers = self._rtde.registers
         return np.array([registers[f"input_double_register_{i}"] for i in range(first, first + count)])
+
+    def _log_point(self) -> None:
+        if self._rtde.registers["input_int_register_0"] == 11:
+            self._robot.log_point(joints=self._doubles(0, 6))
 
     def _start_real_time(self, program: _Program, command: int) -> None:
         """Take a command that the client repeats as fast as it likes."""

@@ -236,6 +236,11 @@ class VirtualRobot:
         """Log an event, with values that JSON has."""
         self._log.note(self.name, event, **values)
 
+    def log_point(self, *, joints: ArrayLike = np.nan, torques: ArrayLike = np.nan) -> None:
+        """Log a point as it came on the wire: joints [rad] or torques [N·m], (dof,)."""
+        everywhere = np.ones(self.about.dof)
+        self._log.point(self.name, np.asarray(joints) * everywhere, np.asarray(torques) * everywhere)
+
     # --- What the loop of the world calls ---
 
     def settle(self) -> None:

@@ -410,7 +410,9 @@ class XarmWire(Wire):
         return b""
 
     def _servo_joints(self, values: bytes) -> bytes:
-        self._point(np.array(struct.unpack_from("<7f", values), np.float64))
+        joints = np.array(struct.unpack_from("<7f", values), np.float64)
+        self._robot.log_point(joints=joints)
+        self._point(joints)
         return b""
 
     def _servo_tcp(self, values: bytes) -> bytes:
