@@ -32,9 +32,10 @@ def why_nothing_draws() -> str:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Take Ctrl-C as usual: under `nohup make test &` it is ignored, and the programs that tests start inherit that."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Take signals as usual: under `nohup make test &` some are ignored, also by the programs that tests start."""
+    for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, usual)
     # Hosts of devices that tests start are apart from those of the machine. A path of pytest is too long for a socket.
     os.environ["RCS_HOSTS"] = tempfile.mkdtemp(prefix="rcs", dir="/tmp")
 
