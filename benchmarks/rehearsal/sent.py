@@ -175,6 +175,9 @@ def measure(robot: str, commands: int) -> dict[str, Any]:
     if robot == "so101":  # a stream ends with the goal to stay where the servos are, which is no point of it
         kept = np.append(np.diff(times) <= RESTART, False)
         times, places = times[kept], places[kept]
+    if robot == "ur5e":  # the first is where the arm stands, and goes before the stream
+        kept = np.insert(np.diff(times) <= RESTART, 0, False)
+        times, places = times[kept], places[kept]
     found |= worst(times, places, rate, limits, QUANTA.get(robot, 0.0))
     speed = np.abs(ticks["velocities"]).max(axis=0) / np.array(limits.joint_velocity)
     return found | {"measured_speed": round(float(speed.max()), 3), "ends": dict(ends), "robot_late": late}

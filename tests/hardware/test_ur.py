@@ -13,9 +13,9 @@ import pytest
 from numpy.typing import NDArray
 
 import rcs
-from rcs.devices import Arm, CommandKind
+from rcs.devices import Arm, CommandKind, StreamPoint
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
-from rcs.hardware.ur import UrDriver
+from rcs.hardware.ur import UrArm, UrDriver
 from rcs.hardware.ur_controller import Dashboard
 from rcs.kinematics import kinematics_of
 from rcs.robots import FRANKA_HAND, ROBOTIQ_2F85, UR5E
@@ -367,6 +367,29 @@ def place() -> NDArray[np.float64]:
 def answer(question: str) -> str:
     with Dashboard(ADDRESS) as dashboard:
         return dashboard.ask(question)
+
+
+def test_the_time_that_a_script_takes_to_begin_is_not_that_of_a_point(
+    virtual: VirtualProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    took: list[float] = []
+    write = UrArm._write
+
+    def timed(arm: UrArm, point: StreamPoint) -> None:
+        begin = time.monotonic()
+        write(arm, point)
+        took.append(time.monotonic() - begin)
+
+    monkeypatch.setattr(UrArm, "_write", timed)
+    firsts: list[float] = []
+    for _ in range(3):
+        with UrDriver().arm(ADDRESS, UR5E, {"watchdog": 2}) as arm:
+            arm.recover()
+            took.clear()
+            arm.command_joints(arm.state().joints)
+            wait_until(lambda: len(took) > 20)
+            firsts.append(took[0])
+    assert min(firsts) < 0.02  # the machine may be busy
 
 
 def lead(arm: Arm, target: NDArray[np.float64]) -> None:

@@ -205,6 +205,7 @@ class UrArm(StreamedArm):
             self._control.endFreedriveMode()
         else:
             self._start_program()
+        self._servo(self._receive.getActualQ())  # the script takes its time for the first one
         self._is_led = True
 
     def _start_program(self) -> None:
@@ -237,7 +238,9 @@ class UrArm(StreamedArm):
 
     def _write(self, point: StreamPoint) -> None:
         self._ramp = None
-        joints = point.position.tolist()
+        self._servo(point.position.tolist())
+
+    def _servo(self, joints: list[float]) -> None:
         self._send("servoJ", joints, 0.0, 0.0, self._period, self._lookahead, self._gain)
 
     def _write_other(self, kind: CommandKind, values: NDArray[np.float64]) -> None:
