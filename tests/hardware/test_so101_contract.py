@@ -69,11 +69,17 @@ class OnVirtualArm:
 class TestSo101Arm(OnVirtualArm, ArmContract):
     tolerance = 6e-3  # a position of the encoder is 1.5e-3 rad
     still = 0.03
+    at_close = "hold"
 
     def make_arm(self) -> Arm:
         driver, address, options = self.entry()
         # It has no brakes: one that is released when it is closed falls, and is not at rest for a while.
-        return driver.arm(address, SO101, {**options, "at_close": "hold"})
+        return driver.arm(address, SO101, {**options, "at_close": self.at_close})
+
+    def test_opening_energises_and_moves_nothing(self) -> None:
+        """Closing takes the power away where it is to be released, and not where it is to hold."""
+        self.at_close = "release"
+        super().test_opening_energises_and_moves_nothing()
 
     def provoke_fault(self, device: Arm) -> None:
         self.tell(device, "overload", "wrist_roll")
