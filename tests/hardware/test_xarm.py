@@ -316,6 +316,17 @@ def test_packets_that_are_lost_or_late_now_and_then_do_not_disturb(
         lead(arm, start)
 
 
+def test_no_packet_that_is_lost_on_the_way_into_servo_mode_is_a_fault(virtual: VirtualProcess) -> None:
+    for _ in range(6):
+        with XarmDriver().arm(ADDRESS, XARM7, CALM) as arm:
+            arm.recover()
+            virtual.tell("lose", "1/20")
+            arm.command_joints(arm.state().joints)
+            wait_until(lambda arm=arm: arm.fault != "" or arm.state().mode == "servo", 15.0)
+            assert arm.fault == ""
+            virtual.tell("clear")
+
+
 TCP = (0.0, 0.0, 0.15, 0.0, 0.0, 0.0, 1.0)
 
 

@@ -121,7 +121,7 @@ class XarmArm(StreamedArm):
         )
 
     def _ask(self, call: Callable[[], Any]) -> Any:
-        """Return what a call of the library returns, made once more where no answer comes.
+        """Return what a call of the library returns, made again where no answer comes.
 
         Raises:
             DeviceFault: There was none for `SILENCE`.
@@ -159,22 +159,19 @@ class XarmArm(StreamedArm):
     def _look(self) -> None:
         """Enter the fault state for what the controller reports; what is measured stays readable."""
         if self._api.core.has_err_warn:
-            code, (error, _) = self._api.get_err_warn_code()
-            self._require_answer(code)
+            _, (error, _) = self._ask(self._api.get_err_warn_code)
             self._trouble = _words(error) if error else ""
         else:
             self._trouble = ""
         if not self._trouble and (self._is_led or self._is_given_way) and not self._api.core.state_is_ready:
-            code, state = self._api.get_state()
-            self._require_answer(code)
+            _, state = self._ask(self._api.get_state)
             if not self._api.core.state_is_ready:
                 self._trouble = STATE_WORDS.get(state, f"the state of the controller is {state}")
         if self._trouble and not self._is_led and not self.fault:  # else `_send` tells
             self.set_fault(self._trouble)
 
     def _start(self) -> None:
-        code, state = self._api.get_state()
-        self._require_answer(code)
+        _, state = self._ask(self._api.get_state)
         if self._is_given_way:
             self._is_given_way = False
         elif state == _MOVING:
@@ -192,23 +189,27 @@ class XarmArm(StreamedArm):
             DeviceFault: The controller refuses; says why.
         """
         api = self._api
-        self._require_answer(api.motion_enable(True))
+        code = api.motion_enable(True)  # the library waits for 5 s: brakes take their time
+        if code == _NO_ANSWER:
+            self._ask(api.get_state)  # the controller is there, then, and a packet was lost
+            code = api.motion_enable(True)
+        self._require_answer(code)
         if self._tcp is not None:
             tcp = self._tcp.xyzrpy
-            self._require_answer(api.set_tcp_offset([*(1e3 * tcp[:3]), *tcp[3:]], is_radian=True, wait=False))
-        self._require_answer(api.set_mode(mode))
-        self._require_answer(api.set_state(0))
+            self._ask(lambda: api.set_tcp_offset([*(1e3 * tcp[:3]), *tcp[3:]], is_radian=True, wait=False))
+        self._ask(lambda: api.set_mode(mode))
+        self._ask(lambda: api.set_state(0))
         until = time.monotonic() + PATIENCE
         while not api.core.state_is_ready:
             self._look()
             if self._trouble or time.monotonic() > until:
-                _, state = api.get_state()
+                _, state = self._ask(api.get_state)
                 raise DeviceFault(
                     f"{self._address}: the controller does not let the arm move: "
                     + (self._trouble or STATE_WORDS.get(state, f"its state is {state}"))
                 )
             time.sleep(0.01)
-            self._require_answer(api.get_state()[0])
+            self._ask(api.get_state)
         time.sleep(SETTLING)
 
     def _write(self, point: StreamPoint) -> None:
@@ -230,15 +231,13 @@ class XarmArm(StreamedArm):
     def _brake_other(self) -> bool:
         self._servo_to(None)
         assert self._ramp is not None
-        code, rows = self._api.get_joint_states(is_radian=True, num=2)
-        self._require_answer(code)
+        _, rows = self._ask(lambda: self._api.get_joint_states(is_radian=True, num=2))
         return self._ramp.is_still and max(map(abs, rows[1])) < AT_REST
 
     def _servo_to(self, goal: Pose | None) -> None:
         """Lead the TCP on by a tick."""
         if self._ramp is None:
-            code, start = self._api.get_position(is_radian=True)
-            self._require_answer(code)
+            _, start = self._ask(lambda: self._api.get_position(is_radian=True))
             turn = TURN_PER_METRE
             self._ramp = TcpRamp(
                 Pose.from_xyzrpy([*(1e-3 * np.array(start[:3])), *start[3:]]),
@@ -265,7 +264,7 @@ class XarmArm(StreamedArm):
     def _stop(self) -> None:
         self._is_led = self._is_given_way = False
         if not self._is_silent:  # else it stands at the last point
-            self._require_answer(self._api.set_state(_STOPPED))
+            self._ask(lambda: self._api.set_state(_STOPPED))
 
     def _can_guide(self) -> bool:
         return True
@@ -281,13 +280,12 @@ class XarmArm(StreamedArm):
             self._let_go()
             self._open()
         api = self._api
-        self._require_answer(api.clean_error())
-        self._require_answer(api.clean_warn())
-        code, (error, _) = api.get_err_warn_code()
-        self._require_answer(code)
+        self._ask(api.clean_error)
+        self._ask(api.clean_warn)
+        _, (error, _) = self._ask(api.get_err_warn_code)
         if error:
             raise DeviceFault(f"the error stays: {_words(error)}")
-        self._require_answer(api.set_state(_STOPPED))  # points from before the fault do not count
+        self._ask(lambda: api.set_state(_STOPPED))  # points from before the fault do not count
         self._trouble = ""
 
     def _close(self) -> None:
