@@ -158,6 +158,27 @@ def test_it_holds_though_its_thread_was_kept_from_reading(gripper: Gripper) -> N
     assert not gripper.fault
 
 
+@pytest.mark.hardware
+def test_hold_does_not_wait_for_a_silent_line_and_is_sent_when_it_answers(
+    gripper: Gripper, virtual: VirtualProcess
+) -> None:
+    for silence in (0.02, 0.15):  # the thread waits for an answer, or has waited in vain
+        go(gripper, 1.0)
+        gripper.command_opening(0.0)
+        time.sleep(0.1)
+        virtual.tell("freeze", "0.25")
+        time.sleep(silence)
+        begin = time.monotonic()
+        gripper.hold()
+        assert time.monotonic() - begin < 0.14
+        time.sleep(0.5)
+        stands = gripper.state().opening
+        time.sleep(0.3)
+        assert gripper.state().opening == pytest.approx(stands, abs=0.01)
+        assert 0.3 < stands < 0.95
+        assert gripper.fault == ""
+
+
 def test_a_wrong_address_is_a_fault_with_what_to_look_at() -> None:
     for address, word in (("127.1.1.1", "URCap"), ("/dev/nothing", "dialout")):
         if word == "dialout":

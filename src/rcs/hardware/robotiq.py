@@ -32,6 +32,10 @@ PERIOD: Final = 0.02
 """Time between two readings [s]."""
 SILENCE: Final = 0.4
 """For how long readings may fail before that is a fault [s]."""
+ANSWER_TIME: Final = 0.1
+"""How long the URCap may take for an answer [s]; usually it takes 2 to 20 ms."""
+PATIENCE: Final = 0.05
+"""How long `hold` waits for a line that is busy [s]; after that, the thread sends it."""
 ACTIVATION_TIME: Final = 10.0
 """How long an activation may take [s]; the vendor says 3 s or so."""
 
@@ -113,12 +117,14 @@ class UrcapSocket:
 
     def _connect(self) -> socket.socket:
         try:
-            return socket.create_connection((self._address, PORT), SILENCE)
+            peer = socket.create_connection((self._address, PORT), SILENCE)
         except OSError as err:
             raise DeviceFault(
                 f"{self._address}: no gripper on port {PORT} ({err}); is this the address of the UR controller, is the "
                 "URCap Robotiq Grippers installed, and does its page on the pendant see the gripper?"
             ) from err
+        peer.settimeout(ANSWER_TIME)
+        return peer
 
     def read(self) -> RobotiqStatus:
         """Read all registers at once."""
@@ -276,7 +282,7 @@ class RobotiqGripper(Gripper):
         self._lock = threading.RLock()  # of the transport, the order and the status
         self._wake = threading.Event()
         self._thread: threading.Thread | None = None
-        self._is_ending = False
+        self._is_ending = self._must_stop = False
         self._order: _Order | None = None
         self._sent: _Order | None = None
         self._was_active = False
@@ -291,7 +297,7 @@ class RobotiqGripper(Gripper):
         except BaseException:
             self._close()
             raise
-        self._is_ending = self._was_active = False
+        self._is_ending = self._was_active = self._must_stop = False
         self._order = self._sent = None
         self._thread = threading.Thread(target=self._serve, name=f"rcs-robotiq-{self._address}", daemon=True)
         self._thread.start()
@@ -335,19 +341,32 @@ class RobotiqGripper(Gripper):
             return is_told and status.activation == _ACTIVE and status.object != _IS_MOVING
 
     def _hold(self) -> None:
-        with self._lock:
-            transport, status = self._transport, self._status
-            self._order = None
-            if transport is None or status is None:
-                return
-            if time.monotonic() - status.time > 2 * SILENCE:
-                status = transport.read()  # the thread may have been kept from it, as by a library that ends
-            if self._sent is None:
-                return  # nothing was ever commanded
+        status = self._status
+        if status is None:
+            return
+        self._order = None
+        age = time.monotonic() - status.time
+        # Others wait to be held, too: a line that is silent does not keep them. After a long time, the thread may have
+        # been kept from reading, as by a library that ends.
+        if not ANSWER_TIME < age <= 2 * SILENCE and self._lock.acquire(timeout=PATIENCE):
+            try:
+                if self._transport is not None:
+                    self._stop(self._transport, self._transport.read() if age > ANSWER_TIME else status)
+            finally:
+                self._lock.release()
+            return
+        self._must_stop = True
+        self._wake.set()
+        self._require_fresh(status)
+
+    def _stop(self, transport: Transport, status: RobotiqStatus) -> None:
+        """Have the fingers stay where they are."""
+        if self._sent is not None:  # else nothing was ever commanded
             # An activation does not stop for less than a reset.
             activate = status.activation == _ACTIVE
             transport.write(activate=activate, go=False, position=status.position, speed=0, force=0)
             self._sent = None
+        self._must_stop = False
 
     def _recover(self) -> None:
         with self._lock:
@@ -385,13 +404,21 @@ class RobotiqGripper(Gripper):
         with contextlib.suppress(DeviceFault), self._lock:
             assert self._transport is not None
             self._take(self._transport.read())
+            self._stop_late(self._transport)
         return False
+
+    def _stop_late(self, transport: Transport) -> None:
+        """Send what `hold` has left to this thread."""
+        if self._must_stop:
+            assert self._status is not None
+            self._stop(transport, self._status)
 
     def _exchange(self) -> None:
         with self._lock:
             transport, order = self._transport, self._order
             if transport is None:
                 return
+            self._stop_late(transport)
             if order is not None and order != self._sent:
                 assert self._status is not None
                 if self._status.activation == _ACTIVE:

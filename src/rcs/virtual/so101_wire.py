@@ -82,7 +82,7 @@ class So101Wire(Wire):
                 raise taken("The servo bus", address, err) from err
         self._input = b""
         self._is_low, self._code = False, 0
-        self._is_on_stand = True  # until it is switched on for the first time: it would fall from home
+        self._is_on_stand = True  # until its arm is switched on for the first time: it would fall from home
         self._names = (*robot.about.joints, "gripper")
         self._overloaded_for = np.zeros(6)
         self._is_overloaded = np.zeros(6, np.bool_)
@@ -133,13 +133,13 @@ class So101Wire(Wire):
         """Have servos with power go to their goals with the torque they may, and protect themselves."""
         self._measure(robot)
         self._protect(robot.period)
-        shares = np.ones(6) if self._is_on_stand else np.array([self._share(number) for number in range(6)])
+        shares = np.array([self._share(number) for number in range(6)])
         is_on = np.array([bool(own[TORQUE_ON]) for own in self._servos])
         for number in range(6):  # where a servo without power is moved to is where it would be held
             if not is_on[number]:
                 self._set(number, GOAL, self._number(number, POSITION))
         goals = [self._angle(number, self._number(number, GOAL)) for number in range(5)]
-        robot.limit(shares[:5])
+        robot.limit(np.ones(5) if self._is_on_stand else shares[:5])
         robot.lead(robot.commanded if self._is_on_stand else np.where(is_on[:5], goals, robot.joints))
         gripper = robot.body.gripper
         # The gripper's model has half of its servo's torque already.
@@ -292,7 +292,7 @@ class So101Wire(Wire):
         if first <= GOAL < first + len(values):
             lowest, highest = self._number(servo, LOWEST), self._number(servo, HIGHEST)
             self._set(servo, GOAL, min(max(self._number(servo, GOAL), lowest), highest))
-        self._is_on_stand &= not own[TORQUE_ON]
+        self._is_on_stand &= servo == 5 or not own[TORQUE_ON]
         if before != own[TORQUE_ON]:
             self._robot.note("torque", servo=self._names[servo], on=bool(own[TORQUE_ON]))
         if first <= TORQUE_ON < first + len(values) and not own[TORQUE_ON]:
