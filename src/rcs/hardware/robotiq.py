@@ -279,7 +279,7 @@ class RobotiqGripper(Gripper):
         self._speed = round(255 * (speed - SLOWEST) / (FASTEST - SLOWEST))
         self._connect = transport or (ModbusLine if address.startswith("/") else UrcapSocket)
         self._transport: Transport | None = None
-        self._lock = threading.RLock()  # of the transport, the order and the status
+        self._lock = threading.RLock()  # of the transport; what is commanded does not wait for a line that is silent
         self._wake = threading.Event()
         self._thread: threading.Thread | None = None
         self._is_ending = self._must_stop = False
@@ -327,18 +327,17 @@ class RobotiqGripper(Gripper):
         wanted = self._force if force is None else force
         share = min(max((wanted - WEAKEST) / (STRONGEST - WEAKEST), 0.0), 1.0)
         position = round(self._closed_at + opening * (self._open_at - self._closed_at))
-        with self._lock:
-            self._order = _Order(position, round(255 * share))
+        self._order = _Order(position, round(255 * share))
         self._wake.set()
 
     def _has_arrived(self) -> bool:
-        with self._lock:
-            status, order = self._status, self._order
-            assert status is not None, "a call before `open` is refused by the interface"
-            if order is None:  # held, or never told anything
-                return status.time - self._moved > 2 * PERIOD
-            is_told = self._sent == order and status.request == order.position
-            return is_told and status.activation == _ACTIVE and status.object != _IS_MOVING
+        order, sent = self._order, self._sent
+        status = self._status  # read after what was sent
+        assert status is not None, "a call before `open` is refused by the interface"
+        if order is None:  # held, or never told anything
+            return status.time - self._moved > 2 * PERIOD
+        is_told = sent == order and status.request == order.position
+        return is_told and status.activation == _ACTIVE and status.object != _IS_MOVING
 
     def _hold(self) -> None:
         status = self._status

@@ -44,7 +44,7 @@ TCP_ACCELERATION: Final = 1.2
 AT_REST: Final = 1e-3
 """Slower joints stand still [rad/s]."""
 
-SILENCE: Final = 0.2
+SILENCE: Final = 0.15
 """For how long the controller's clock may stand still before that is a fault [s]."""
 REASON_TIME: Final = 0.05
 """For how long the reason is waited for why the controller takes no commands [s]."""
