@@ -340,8 +340,10 @@ std::optional<Hit> CollisionChecker::sweep(Scratch& scratch, std::span<const dou
           const double ahead = scratch.speed[p] > 0.0 ? (distance - options.margin) / scratch.speed[p]
                                                       : std::numeric_limits<double>::infinity();
           const double stride = std::max(ahead, scratch.least[p]);
-          scratch.early[p] = s + 0.5 * stride;
-          scratch.due[p] = s + stride;
+          // However short the motion, its end is looked at, unless it is known to be free.
+          const double latest = ahead < 1.0 - s ? 1.0 : std::numeric_limits<double>::infinity();
+          scratch.early[p] = std::min(s + 0.5 * stride, latest);
+          scratch.due[p] = std::min(s + stride, latest);
         }
         next = std::min(next, scratch.due[p]);
       }

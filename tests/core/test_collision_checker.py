@@ -135,6 +135,22 @@ def test_a_free_motion_is_free_at_every_sample(checker: CollisionChecker) -> Non
         assert checker.free_rows(samples, margin - 0.001).all()
 
 
+def test_however_short_a_motion_its_end_is_looked_at(env: Env, checker: CollisionChecker) -> None:
+    margin, home = 0.001, np.array(next(iter(env.robots.values())).arm.home)
+    seen = 0
+    for goal in random_joints(checker, 60, seed=6):
+        hit = checker.first_hit(home, goal, margin=margin)
+        if hit is None:
+            continue
+        way, free = goal - home, hit.free_until
+        for length in 10.0 ** np.arange(-5.0, -1.5, 0.25):  # shares of the way, from a place that is free
+            end = home + min(free + length, 1.0) * way
+            if not checker.is_free(end, margin):
+                assert checker.first_hit(home + free * way, end, margin=margin) is not None
+                seen += 1
+    assert seen > 40
+
+
 def test_a_thin_wall_in_mid_path_is_never_missed() -> None:
     """A wall of 1 mm stands where neither end of the motion is near it."""
     with rcs.make("Free", robot="fr3") as env:

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 import rcs
 from rcs.agents import agent_for
 from rcs.envs import Env, Guard
+from rcs.envs.guarded_scene import lagging
 from rcs.errors import InvalidSetup, Refused, UnknownName
 from rcs.robots.fr3.description import FR3
 from rcs.sim import Scene
@@ -409,3 +410,14 @@ def test_no_stream_of_far_targets_has_two_arms_touch_anything() -> None:
         assert one["stopped"] >= 10
         assert one["touching"] == 0
         assert one["false_stops"] < 0.01
+
+
+def test_a_way_begins_where_the_arm_is_and_ends_where_it_is_led() -> None:
+    led = np.array([[0.0, 1.0], [0.02, 1.0], [0.04, 1.0], [0.05, 1.0], [0.05, 1.0]])
+    here = np.array([-0.004, 1.002])
+    way = lagging(led, here)
+    assert way[0] == pytest.approx(here)
+    assert way[1] == pytest.approx(led[1] + [-0.004, 0.002])  # as fast as at first
+    assert way[2] == pytest.approx(led[2] + [-0.002, 0.001])  # half as fast
+    assert way[3:] == pytest.approx(led[3:])
+    assert lagging(led[-1:], here)[0] == pytest.approx(led[-1])

@@ -39,6 +39,16 @@ GEOMETRY = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb", "b
 """Fields of a model that say where shapes are and how large."""
 
 
+def lagging(way: NDArray[np.float64], here: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return where an arm goes that is led a way (n, dof) and is measured here (dof,) where it begins [rad].
+
+    By how much its servos lag behind falls with the speed at which they are led: at rest, they are where they are led.
+    """
+    speed = np.linalg.norm(np.diff(way, axis=0, append=way[-1:]), axis=1)
+    share = np.minimum(speed / max(speed[0], 1e-9), 1.0)
+    return way + share[:, None] * (here - way[0])
+
+
 class GuardedScene:
     """Two checkers of one scene, and the way from the values of robots to their joints."""
 
@@ -194,13 +204,15 @@ class GuardedScene:
         """Return all joints along a way [rad, m], (n, dof).
 
         Args:
-            ways: Joints of every arm along it, (n, dof) each.
-            fingers: All joints along it, of which those of fingers are taken, (n, dof).
+            ways: Where every arm is led along it, (n, dof) each.
+            fingers: All joints along it, of which those of fingers are taken, and those of arms where it begins,
+                (n, dof).
         """
         places = fingers.copy()
         first = 0
         for way, ids in zip(ways, self._joints, strict=True):
-            places[:, first : first + way.shape[1]] = way
+            arm = slice(first, first + way.shape[1])
+            places[:, arm] = lagging(way, fingers[0, arm])
             first += len(ids)
         return places
 
