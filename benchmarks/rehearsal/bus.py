@@ -14,7 +14,7 @@ from rehearsal.stage import stage
 
 from rcs.errors import DeviceFault
 from rcs.hardware.servo_bus import TIMEOUT
-from rcs.hardware.so101 import ARM, GOAL, Servos, read_calibration
+from rcs.hardware.so101_servos import ARM, GOAL, Servos, read_calibration
 
 FAULTS = (("late", "20/100"), ("lose", "1/100"), ("corrupt", "1/100"))
 SERVOS = 6

@@ -19,7 +19,8 @@ import rcs
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.hardware import DeviceAddress
 from rcs.hardware.servo_bus import ServoBus
-from rcs.hardware.so101 import GRIPPER, NAMES, So101Arm, So101Driver, So101Gripper, read_calibration
+from rcs.hardware.so101 import So101Arm, So101Driver, So101Gripper
+from rcs.hardware.so101_servos import GRIPPER, NAMES, read_calibration
 from rcs.robots.so101.description import SO101
 from rcs.robots.so101_gripper.description import SO101_GRIPPER
 from rcs.virtual import VirtualProcess, read_events, read_points, read_ticks

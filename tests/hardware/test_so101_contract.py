@@ -11,7 +11,8 @@ import pytest
 from rcs.devices import Arm, Gripper
 from rcs.errors import DeviceFault
 from rcs.hardware import DeviceAddress
-from rcs.hardware.so101 import ARM, GRIPPER, TORQUE_ON, So101Arm, So101Driver, So101Gripper
+from rcs.hardware.so101 import So101Arm, So101Driver, So101Gripper
+from rcs.hardware.so101_servos import ARM, GRIPPER, TORQUE_ON
 from rcs.robots.so101.description import SO101
 from rcs.robots.so101_gripper.description import SO101_GRIPPER
 from rcs.testing import ArmContract, GripperContract

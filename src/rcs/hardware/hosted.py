@@ -180,7 +180,7 @@ def call(path: Path) -> socket.socket | None:
         DeviceFault: There is one, and it does not answer.
     """
     connection = socket.socket(socket.AF_UNIX)
-    connection.settimeout(1.0)
+    connection.settimeout(HostTimes.close + 0.5)  # it may be letting go of its device, and end after that
     try:
         connection.connect(str(path))
         if connection.recv(len(GREETING)) == GREETING:

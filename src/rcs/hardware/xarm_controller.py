@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from rcs.errors import DeviceFault
 from rcs.extras import package_of
-from rcs.hardware.robotiq import FIRST_INPUT, FIRST_OUTPUT, MODBUS_DEVICE, RobotiqStatus, registers_of, status_of
+from rcs.hardware.robotiq_lines import FIRST_INPUT, FIRST_OUTPUT, MODBUS_DEVICE, RobotiqStatus, registers_of, status_of
 
 PORT: Final = 502
 PATIENCE: Final = 1.5
