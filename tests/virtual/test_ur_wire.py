@@ -32,7 +32,7 @@ class Robot:
         assert isinstance(wire, UrWire)
         self.wire = wire
         self.ticks = 0
-        wire.clock = lambda: self.ticks / RATE
+        wire.controller.clock = lambda: self.ticks / RATE
 
     def pass_time(self, seconds: float) -> None:
         for _ in range(round(seconds * RATE)):

@@ -1,0 +1,146 @@
+"""The control script of ur_rtde on a virtual UR, which is not run but followed.
+
+A command is in `input_int_register_0`, its arguments are in the double registers, and its state is in
+`output_int_register_0`. A watchdog ends the program when its client is not heard of any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.spatial import Pose
+from rcs.virtual.rtde_port import RtdePort
+from rcs.virtual.ur_controller import STOP_DECELERATION, Program, UrController
+from rcs.virtual.ur_motion import Move, ProgramError, Servo, SpeedJoints, SpeedTcp, Stop, pose_of, vector_of
+
+Vector = NDArray[np.float64]
+
+_READY, _DONE = 1, 2
+_REAL_TIME: Final = (9, 10, 11, 24)
+
+
+class ControlScript:
+    """Does what the registers say."""
+
+    def __init__(self, controller: UrController, rtde: RtdePort) -> None:
+        """Read and write the registers of a port for a controller."""
+        self._controller, self._rtde = controller, rtde
+        rtde.heed = self._log_point
+
+    def run(self) -> None:
+        """Go once through the script's main loop."""
+        program = self._controller.program
+        if program is None:
+            return
+        if "input_int_register_0" in self._rtde.was_set:
+            program.heard = self._controller.clock()
+        elif 0 < program.watchdog < self._controller.clock() - program.heard:
+            self._controller.end_program("watchdog")
+            return
+        integers = self._controller.registers.integers
+        command = self._rtde.registers["input_int_register_0"]
+        try:
+            if command in _REAL_TIME:
+                self._start_real_time(program, command)
+                integers[0] = _READY
+            elif command == 0:
+                program.is_executing, program.blocking = False, None
+                integers[0] = _READY
+            elif not program.is_executing:
+                program.is_executing = True
+                program.blocking = self._execute(program, command)
+            if program.blocking is not None and program.blocking():
+                program.blocking = None
+                integers[0] = _DONE
+        except ProgramError as err:
+            self._controller.end_program(str(err))
+
+    def _doubles(self, first: int, count: int) -> Vector:
+        """Return input registers."""
+        registers = self._rtde.registers
+        return np.array([registers[f"input_double_register_{i}"] for i in range(first, first + count)])
+
+    def _log_point(self) -> None:
+        if self._rtde.registers["input_int_register_0"] == 11:
+            self._controller.robot.log_point(joints=self._doubles(0, 6))
+
+    def _start_real_time(self, program: Program, command: int) -> None:
+        """Take a command that the client repeats as fast as it likes."""
+        values = self._doubles(0, 11)
+        allowed = Servo if command in (11, 24) else SpeedJoints | SpeedTcp
+        if program.move is not None and not isinstance(program.move, allowed):
+            raise ProgramError("Another thread is already controlling the robot")
+        if command in (11, 24):
+            target = (
+                values[:6]
+                if command == 11
+                else self._controller.chain.inverse(pose_of(values), self._controller.reference.joints)
+            )
+            if isinstance(program.move, Servo):
+                program.move.target, program.move.lookahead, program.move.gain = target, values[9], values[10]
+            else:
+                program.move = Servo(target, values[9], values[10])
+        elif command == 9:
+            program.move = SpeedJoints(values[:6], values[6])
+        elif isinstance(program.move, SpeedTcp):
+            program.move.twist, program.move.acceleration = values[:6], values[6]
+        else:
+            program.move = SpeedTcp(values[:6], values[6], self._controller.chain)
+
+    def _execute(self, program: Program, command: int) -> Callable[[], bool]:
+        """Begin a command and return what tells whether it is done.
+
+        Raises:
+            ProgramError: There is no such command, or it asks for what cannot be.
+        """
+        values = self._doubles(0, 14)
+        now = self._controller.reference.joints
+        match command:
+            case 1 | 2 | 3 | 4:
+                goal: Vector | Pose = values[:6]
+                if command in (2, 3):
+                    goal = pose_of(values)
+                if command == 2:
+                    goal = self._controller.chain.inverse(pose_of(values), now)
+                elif command == 4:
+                    goal = self._controller.chain.forward(values[:6])
+                program.move = Move(now, goal, values[6], values[7], self._controller.chain)
+                return lambda: self._rtde.registers["input_int_register_1"] == 1 or program.move is None
+            case 15 | 16 | 33 | 34:
+                # The linear stops brake along the joints, too; on a straight line they would leave it by little.
+                program.move = Stop(STOP_DECELERATION if command == 16 else min(values[0], STOP_DECELERATION))
+                return lambda: program.move is None
+            case 17:
+                self._controller.payload = values[0]
+            case 18 | 52:
+                program.move, program.has_freedrive = None, True
+            case 19 | 53:
+                program.has_freedrive = False
+            case 29:
+                self._controller.chain.tcp_in_flange = pose_of(values)
+            case 31:
+                self._controller.protect("asked for by the program")
+            case 35:
+                program.watchdog, program.heard = 1 / values[0], self._controller.clock()
+            case 36 | 37:
+                joints = values[:6] if command == 37 else self._controller.chain.inverse(pose_of(values), now)
+                is_inside = (joints >= self._controller.lower).all() and (joints <= self._controller.upper).all()
+                self._controller.registers.integers[1] = int(is_inside)
+            case 40:
+                self._controller.registers.doubles[:6] = vector_of(self._controller.chain.tcp_in_flange)
+            case 43:
+                self._controller.registers.doubles[:6] = vector_of(self._controller.chain.forward(now))
+            case 30 | 46:
+                near = values[6:12] if command == 30 else now
+                self._controller.registers.doubles[:6] = self._controller.chain.inverse(pose_of(values), near)
+            case 47:
+                self._controller.registers.integers[1] = int(not self._controller.reference.velocities.any())
+            case 255:
+                self._controller.end_program("stop script")
+            case _:
+                raise ProgramError(f"the command {command} of the control script is not known to this virtual robot")
+        return lambda: True
