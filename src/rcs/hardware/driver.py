@@ -52,6 +52,13 @@ class Driver:
         """Connect nothing."""
         self._links: dict[str, Link[Any]] = {}
 
+    def library(self, options: Mapping[str, Any]) -> str:
+        """Return which library a device with these options needs, where that cannot share a process with the usual one.
+
+        Hosts serve one library each; "" is the usual one.
+        """
+        return ""
+
     def link(
         self, address: str, connect: Callable[[], Connection], disconnect: Callable[[Connection], None]
     ) -> Link[Connection]:

@@ -117,6 +117,10 @@ class FrankaDriver(Driver):
     hosted = True
     gives_way = True
 
+    def library(self, options: Mapping[str, Any]) -> str:
+        """Return `pylibfranka` for an arm of that backend: it brings a libfranka of its own."""
+        return "pylibfranka" if options.get("backend") == "pylibfranka" else ""
+
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
         """Return an arm.
 

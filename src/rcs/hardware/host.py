@@ -277,7 +277,7 @@ def _end(*_: object) -> NoReturn:
 def main() -> None:
     """Serve until the end."""
     words = [word for word in sys.argv[1:] if word != "--stay"]
-    place = Place(driver=words[0], address=words[1])
+    place = Place(driver=words[0], address=words[1], library=words[2])
     faulthandler.enable()
     signal.signal(signal.SIGTERM, _end)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program, which ends this one

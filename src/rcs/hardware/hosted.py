@@ -45,11 +45,13 @@ class Place:
     """Name of the driver, as in a site."""
     address: str
     """As the driver takes it."""
+    library: str = ""
+    """As `Driver.library` has it."""
 
     @property
     def socket(self) -> Path:
         """Where the host listens."""
-        text = f"{self.driver}:{self.address}"
+        text = f"{self.driver}:{self.address}" + (f":{self.library}" if self.library else "")
         readable = re.sub(r"[^\w.-]", "_", text)[:24]
         return folder() / f"{readable}-{hashlib.sha256(text.encode()).hexdigest()[:8]}.sock"
 
@@ -131,7 +133,8 @@ def start(place: Place, *, stays: bool = False) -> subprocess.Popen[bytes]:
         stays: It goes on when no program uses it any more, until this process ends.
     """
     _started[:] = [process for process in _started if process.poll() is None]
-    words = [sys.executable, "-P", "-m", "rcs.hardware.host", place.driver, place.address, *(["--stay"] * stays)]
+    words = [sys.executable, "-P", "-m", "rcs.hardware.host", place.driver, place.address, place.library]
+    words += ["--stay"] * stays
     # What a vendor's library prints is no output of the program.
     process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=2, start_new_session=True)
     _started.append(process)

@@ -320,7 +320,11 @@ def places_of(site: Site) -> list[Place]:
     drivers: dict[str, Driver] = {}
     given = [one for kind in KINDS[:3] for one in getattr(site, kind).values() if isinstance(one, DeviceAddress)]
     hosts = [one for one in given if is_hosted(_driver(drivers, one.driver), one.options)]
-    return list(dict.fromkeys(Place(driver=one.driver, address=one.address) for one in hosts))
+    return list(dict.fromkeys(_place(_driver(drivers, one.driver), one) for one in hosts))
+
+
+def _place(driver: Driver, given: DeviceAddress) -> Place:
+    return Place(driver=given.driver, address=given.address, library=driver.library(given.options))
 
 
 def _made(drivers: dict[str, Driver], given: AnyDevice, kind: str, *about: Any) -> Any:
@@ -331,8 +335,7 @@ def _made(drivers: dict[str, Driver], given: AnyDevice, kind: str, *about: Any) 
         options = {name: value for name, value in given.options.items() if name != "host"}
         device = getattr(driver, kind)(given.address, *about, options)
         if isinstance(device, Arm | Gripper | Hand) and is_hosted(driver, given.options):
-            place = Place(driver=given.driver, address=given.address)
-            device = hosted(device, place, about[0], options, driver.host_times)
+            device = hosted(device, _place(driver, given), about[0], options, driver.host_times)
     if not isinstance(device, _CLASSES[kind]):
         raise InvalidSetup(f"Expected a device of rcs.devices.{_CLASSES[kind].__name__}; got {device!r}.")
     return device

@@ -215,7 +215,9 @@ class So101Gripper(Gripper):
             if not self._is_powered:
                 servos.power([GRIPPER])
                 self._is_powered = True
-            self._goal, self._since = servos.calibration[GRIPPER].position_of_opening(opening), time.monotonic()
+            goal = servos.calibration[GRIPPER].position_of_opening(opening)
+            if goal != self._goal:
+                self._goal, self._since = goal, time.monotonic()
             servos.put(GRIPPER, GOAL, self._goal)
 
     def _has_arrived(self) -> bool:
@@ -228,8 +230,11 @@ class So101Gripper(Gripper):
     def _hold(self) -> None:
         with self.link as servos:
             # Fingers that press on an object go on pressing: letting it fall is not holding.
-            if abs(servos.read().speeds[GRIPPER]) >= STILL and self._is_powered:
+            reading = servos.read()
+            begins = time.monotonic() < self._since + BEGINNING and abs(reading.positions[GRIPPER] - self._goal) > THERE
+            if self._is_powered and (abs(reading.speeds[GRIPPER]) >= STILL or begins):
                 servos.hold([GRIPPER])
+                self._goal, self._since = -1, -math.inf  # the next command is a new one
 
     def _recover(self) -> None:
         with self.link as servos:
