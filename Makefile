@@ -7,7 +7,8 @@
 # make test-interop  open our exports with the readers of LeRobot and others, and serve tiny policies of other projects; each
 #                    gets an environment of its own (first time: about 10 GB and 20 minutes)
 # make test-wires    policies over openpi's wire, asked and served by its own client and layout; part of test-interop
-# make test-hardware the drivers, over their vendors' libraries, against virtual robots; some minutes. As in .ci/run
+# make test-hardware the drivers, over their vendors' libraries, against virtual robots; seven minutes. As in .ci/run
+# make test-hardware-all the same with the contracts of arms and grippers; a quarter of an hour
 # make test-cluster  Ray clusters of two machines on this one, parts of which are killed; 3 to 5 minutes
 # make test-sanitize the C++ tests, and the Python tests of what uses the core, under the sanitizers of addresses and undefined
 #                    behaviour; the C++ tests under that of threads. Any finding ends it. About 15 minutes; FUZZ=300000 has the
@@ -40,7 +41,7 @@ CXX_FILES = $(shell find core tests -name '*.cpp' -o -name '*.hpp')
 STUB := src/rcs/_core.pyi
 STUBGEN = $(BIN)/python -m nanobind.stubgen --quiet --module rcs._core --output-file
 
-.PHONY: help build gl demo docs test test-all test-cpp test-sanitize test-extras test-hardware test-cluster test-wheel test-interop check bench format stubs clean
+.PHONY: help build gl demo docs test test-all test-cpp test-sanitize test-extras test-hardware test-hardware-all test-cluster test-wheel test-interop check bench format stubs clean
 
 help:
 	@sed '/^$$/q; s/^# \{0,1\}//' Makefile
@@ -168,8 +169,8 @@ test-extras: test-wheel $(VENV)/.stamp-extras gl
 	@echo "==> Testing what needs extras"
 	@$(PYTEST) -m "extras or browser"
 
-# The extras that bring the vendors' libraries; `make test-hardware DRIVERS="franka pylibfranka robotiq so101 ur xarm"` has all of them.
-DRIVERS := so101 xarm
+# The extras that bring the vendors' libraries.
+DRIVERS := franka pylibfranka robotiq so101 ur xarm
 
 $(VENV)/.stamp-drivers: $(VENV)/.stamp-built pyproject.toml Makefile
 	@echo "==> Installing the vendors' libraries of $(DRIVERS)"
@@ -181,6 +182,11 @@ $(VENV)/.stamp-drivers: $(VENV)/.stamp-built pyproject.toml Makefile
 # One at a time: a virtual robot keeps real time, and so does its driver.
 test-hardware: $(VENV)/.stamp-drivers
 	@echo "==> Testing drivers against virtual robots"
+	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "hardware and not slow" --durations=10
+
+# The contracts of all devices, too, in a quarter of an hour.
+test-hardware-all: $(VENV)/.stamp-drivers
+	@echo "==> Testing drivers against virtual robots, with their contracts"
 	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m hardware --durations=10
 
 # Minutes in which processes start, are killed and are waited for: by itself, on a machine that does nothing else.

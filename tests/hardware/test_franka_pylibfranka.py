@@ -91,6 +91,7 @@ def wave(arm: Arm, amplitude: float = 0.15, seconds: float = 2.0) -> np.ndarray:
     return joints + amplitude * 0.5 * (1 - np.cos(np.pi * times)) * np.where(joints < FR3.home, 1, -1)
 
 
+@pytest.mark.slow
 class TestContract(ArmContract):  # without the loss of the link: one that was cut does not answer again
     """The contract of all arms."""
 

@@ -54,6 +54,7 @@ class RobotiqContract(GripperContract):
 
 
 @pytest.mark.hardware
+@pytest.mark.slow
 class TestOverTheSocket(RobotiqContract):
     """The URCap's socket on port 63352."""
 
@@ -65,6 +66,7 @@ class TestOverTheSocket(RobotiqContract):
 
 
 @pytest.mark.hardware
+@pytest.mark.slow
 class TestOverModbus(RobotiqContract):
     """Modbus RTU on a pseudo-terminal."""
 

@@ -18,7 +18,7 @@ from rcs.robots.so101_gripper.description import SO101_GRIPPER
 from rcs.testing import ArmContract, GripperContract
 from rcs.virtual import VirtualProcess
 
-pytestmark = pytest.mark.hardware
+pytestmark = [pytest.mark.hardware, pytest.mark.slow]
 pytest.importorskip("scservo_sdk", reason="the driver of SO101 arms needs feetech-servo-sdk")
 
 

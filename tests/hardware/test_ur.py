@@ -52,6 +52,7 @@ def arm(virtual: VirtualProcess) -> Iterator[Arm]:
         yield arm
 
 
+@pytest.mark.slow
 class TestContract(ArmContract):
     """The contract of all arms."""
 

@@ -66,6 +66,7 @@ def arm(virtual: VirtualProcess) -> Iterator[Arm]:
         yield arm
 
 
+@pytest.mark.slow
 class TestContract(ArmContract):
     """The contract of all arms."""
 
