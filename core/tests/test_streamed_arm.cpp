@@ -537,6 +537,20 @@ void a_person_guides_the_arm_until_it_is_held() {
   CHECK_NEAR(arm.points.back().position[0], 0.7, 0.0);
 }
 
+void a_fault_ends_guiding_before_the_arm_recovers() {
+  rcs::StreamOptions options;
+  options.missed_ticks = 10000;
+  Servo arm(options);
+  arm.open();
+  for (int k = 0; k < 200; ++k) {
+    arm.guide(true);
+    arm.set_fault("stop");
+    arm.recover();
+    CHECK(arm.clears == 0 && arm.fault().empty());  // it is led again, and so the controller is well
+  }
+  arm.close();
+}
+
 void options_that_make_no_sense_are_refused() {
   rcs::ArmLimits few = figures();
   few.joint_jerk.clear();
@@ -578,6 +592,7 @@ int main() {
   too_many_missed_ticks_are_a_fault();
   a_call_that_does_not_return_is_a_fault_and_does_not_keep_the_arm_from_being_stopped();
   a_person_guides_the_arm_until_it_is_held();
+  a_fault_ends_guiding_before_the_arm_recovers();
   options_that_make_no_sense_are_refused();
   return rcs::test::result();
 }

@@ -13,9 +13,9 @@ from urllib.parse import urlsplit
 
 from vlagents.errors import InvalidInput
 
-Scheme = Literal["vla", "vlas", "unix", "ws", "wss", "gr00t", "openvla+http", "lerobot+grpc"]
+Scheme = Literal["vla", "vlas", "unix", "ws", "wss", "gr00t", "openvla+http"]
 PORTS = {
-    "vla": 8090, "vlas": 8090, "ws": 8000, "wss": 8000, "gr00t": 5555, "openvla+http": 8000, "lerobot+grpc": 8080,
+    "vla": 8090, "vlas": 8090, "ws": 8000, "wss": 8000, "gr00t": 5555, "openvla+http": 8000,
 }  # fmt: skip
 """Ports where an address has none; of others' wires, theirs."""
 
@@ -51,7 +51,7 @@ def parse(text: str) -> Address:
     """
     valid = (
         "valid are vla://host:port, vlas://host:port (TLS), unix:///path, ws://host:port, wss://host:port, "
-        "gr00t://host:port, openvla+http://host:port and lerobot+grpc://host:port"
+        "gr00t://host:port and openvla+http://host:port"
     )
     parts = urlsplit(text)
     if parts.scheme == "unix" and parts.path:

@@ -22,8 +22,7 @@ def connect(
     """Return a client of the class that the address wants.
 
     That is a `Client` for `vla://`, `vlas://` and `unix://`, a `WebsocketClient` for `ws://` and `wss://`, a
-    `GrootClient` for `gr00t://`, an `OpenvlaClient` for `openvla+http://`, and a `LerobotClient` for
-    `lerobot+grpc://`, which wants to hear `accepts="CVE-2026-25874"`.
+    `GrootClient` for `gr00t://`, and an `OpenvlaClient` for `openvla+http://`.
 
     Args:
         address: Where the server is.
@@ -34,12 +33,11 @@ def connect(
         options: Passed on to the client's class.
     """
     scheme = parse(address).scheme
-    if scheme in ("gr00t", "openvla+http", "lerobot+grpc"):
+    if scheme in ("gr00t", "openvla+http"):
         from vlagents.other_wires.groot import GrootClient
-        from vlagents.other_wires.lerobot_async import LerobotClient
         from vlagents.other_wires.openvla import OpenvlaClient
 
-        kinds = {"gr00t": GrootClient, "openvla+http": OpenvlaClient, "lerobot+grpc": LerobotClient}
+        kinds = {"gr00t": GrootClient, "openvla+http": OpenvlaClient}
         return kinds[scheme](address, token=token, timeout=timeout, offer=offer, **options)
     if scheme in ("ws", "wss"):
         from vlagents.websocket import WebsocketClient

@@ -28,7 +28,6 @@ BUILT_IN: dict[str, str] = {
     "octo": "vlagents.policies.octo:OctoPolicy",
     "openpi": "vlagents.policies.openpi:OpenpiPolicy",
     "openvla": "vlagents.policies.openvla:OpenvlaPolicy",
-    "openvla_oft": "vlagents.policies.openvla_oft:OpenvlaOftPolicy",
     "random": "vlagents.policies.catalogue:random_policy",
     "replay": "vlagents.policies.replay:ReplayPolicy",
     "scripted": "vlagents.policies.scripted:ScriptedPolicy.load",

@@ -1,7 +1,7 @@
 """OpenVLA (openvla/openvla): a language model that reads a picture and an instruction and writes one action in tokens.
 
 A checkpoint is a folder as Transformers saves it, with `dataset_statistics.json` if it was fine-tuned. It has Python
-files of its own, which run when it is loaded: serve only checkpoints that you trust. OpenVLA-OFT is `openvla_oft`.
+files of its own, which run when it is loaded: serve only checkpoints that you trust.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class OpenvlaPolicy(Policy):
         settings.check_images(["image"])
         settings.check_options(("center_crop", "v01", "attention"))
         if settings.state:
-            raise InvalidInput("The settings have a state, and OpenVLA takes none; OpenVLA-OFT does.")
+            raise InvalidInput("The settings have a state, and OpenVLA takes none.")
         self._is_cropped = settings.option("center_crop", False)
         self._prompt = PROMPT_V01 if settings.option("v01", "v01" in checkpoint) else PROMPT
         self._torch, transformers, *_ = import_stack("openvla", "transformers", "timm", "PIL")
