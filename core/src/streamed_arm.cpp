@@ -278,7 +278,8 @@ struct StreamedArm::Loop {
   void answer() {
     const Request what = request;
     if (what == Request::none) return;
-    if (what == Request::clear && std::exchange(gave_way, false)) start();  // the hold that ended it comes with the fault
+    if (what == Request::clear && std::exchange(gave_way, false))
+      start();  // the hold that ended it comes with the fault
     try {
       take_time([&] {
         if (what == Request::give_way) {
