@@ -111,9 +111,9 @@ double torque_limit(const mjModel* model, int joint, int actuator) {
 
 }  // namespace
 
-// What the motors exert beside what accelerations take [Nm], of all degrees of freedom: against the forces of speed,
-// and against gravity, that of a load included.
-void Motion::know_bias(const mjModel* model, mjData* data, Copy& copy) {
+// Forces at the present speeds in `bias`, and at rest in `still` [Nm], of all degrees of freedom; leaves the data at
+// rest, with the speeds that it had in `speed`.
+void Motion::know_forces(const mjModel* model, mjData* data, Copy& copy) {
   const auto nv = static_cast<std::size_t>(model->nv);
   copy.bias.resize(nv);
   copy.still.resize(nv);
@@ -123,24 +123,22 @@ void Motion::know_bias(const mjModel* model, mjData* data, Copy& copy) {
   std::fill_n(data->qvel, nv, 0.0);
   mj_comVel(model, data);
   mj_rne(model, data, 0, copy.still.data());
+}
+
+// What the motors exert beside what accelerations take [Nm], of all degrees of freedom: against the forces of speed,
+// and against gravity, that of a load included.
+void Motion::know_bias(const mjModel* model, mjData* data, Copy& copy) {
+  know_forces(model, data, copy);
   mj_passive(model, data);
   std::ranges::copy(copy.speed, data->qvel);
-  for (std::size_t k = 0; k < nv; ++k) copy.bias[k] += data->qfrc_gravcomp[k] - copy.still[k];
+  for (std::size_t k = 0; k < copy.bias.size(); ++k) copy.bias[k] += data->qfrc_gravcomp[k] - copy.still[k];
 }
 
 // Forces of Coriolis and of centrifuges [Nm], of all degrees of freedom, in `bias`.
 void Motion::know_speed_forces(const mjModel* model, mjData* data, Copy& copy) {
-  const auto nv = static_cast<std::size_t>(model->nv);
-  copy.bias.resize(nv);
-  copy.still.resize(nv);
-  copy.speed.assign(data->qvel, data->qvel + nv);
-  mj_comVel(model, data);
-  mj_rne(model, data, 0, copy.bias.data());
-  std::fill_n(data->qvel, nv, 0.0);
-  mj_comVel(model, data);
-  mj_rne(model, data, 0, copy.still.data());
+  know_forces(model, data, copy);
   std::ranges::copy(copy.speed, data->qvel);
-  for (std::size_t k = 0; k < nv; ++k) copy.bias[k] -= copy.still[k];
+  for (std::size_t k = 0; k < copy.bias.size(); ++k) copy.bias[k] -= copy.still[k];
 }
 
 // What the planned motion may have of its acceleration, by inverse dynamics. One that goes far before it is planned

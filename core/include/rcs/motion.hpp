@@ -90,6 +90,7 @@ class Motion final : public StepCallback {
   double share_of_acceleration(const mjModel* model, mjData* data, const double* memory, Copy& copy, bool is_far);
   bool is_of_tcp() const { return springs_ && !springs_->stiffness.empty(); }
   void give_way(const mjModel* model, mjData* data, Copy& copy, bool was_still);
+  static void know_forces(const mjModel* model, mjData* data, Copy& copy);
   static void know_bias(const mjModel* model, mjData* data, Copy& copy);
   static void know_speed_forces(const mjModel* model, mjData* data, Copy& copy);
   static void look_at_inertia(const mjModel* model, mjData* data);
