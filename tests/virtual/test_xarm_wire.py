@@ -16,7 +16,8 @@ from rcs.errors import InvalidSetup, UnknownName
 from rcs.kinematics import kinematics_of
 from rcs.robots import XARM7
 from rcs.virtual import VirtualWorld
-from rcs.virtual.xarm_wire import RATE, XarmWire
+from rcs.virtual.xarm_servo import RATE
+from rcs.virtual.xarm_wire import XarmWire
 
 ADDRESS = f"127.{192 + (os.getpid() >> 8) % 60}.{os.getpid() % 250 + 1}.1"
 VERSION, ENABLE, SET_STATE, GET_STATE, GET_ERROR, CLEAN_ERROR, CLEAN_WARNING, SET_MODE = 1, 11, 12, 13, 15, 16, 17, 19

@@ -10,6 +10,9 @@ from enum import IntEnum
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
+
+from rcs.spatial import Pose
 
 ARM_PORT: Final = 1337
 HAND_PORT: Final = 1338
@@ -218,3 +221,8 @@ HAND_STATE: Final = np.dtype(
     [("message_id", "<u4"), ("width", "<f8"), ("max_width", "<f8"), ("is_grasped", "u1"), ("temperature", "<u2")]
 )
 """What a hand sends 30 times a second."""
+
+
+def columns(pose: Pose) -> NDArray[np.float64]:
+    """Return the matrix of a pose by column, shape (16,)."""
+    return pose.matrix.T.ravel()

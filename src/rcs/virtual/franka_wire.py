@@ -23,6 +23,7 @@ from rcs.sim.loads import SimLoads
 from rcs.spatial import Pose
 from rcs.virtual.fault import Fault
 from rcs.virtual.franka_client import Client, Listener
+from rcs.virtual.franka_forces import ExternalForces
 from rcs.virtual.franka_generators import MotionGenerator, motion_errors, torque_errors
 from rcs.virtual.franka_hand_wire import FrankaHandWire
 from rcs.virtual.franka_messages import (
@@ -38,6 +39,7 @@ from rcs.virtual.franka_messages import (
     GeneratorMode,
     Mode,
     MoveStatus,
+    columns,
 )
 from rcs.virtual.franka_model import Carried, urdf_of
 from rcs.virtual.virtual_robot import VirtualRobot
@@ -45,8 +47,6 @@ from rcs.virtual.wire import Wire
 
 MOST_LOST = 20
 """Commands that may be missing in a row; one more stops the arm (vendor's FCI documentation)."""
-LOAD_FILTER = 0.05
-"""Share of the newest external force in the filtered one, a low-pass of about 8 Hz; the vendor publishes no figure."""
 FINISH_SPEED = 0.05
 """Joint speed above which a motion may not end [rad/s]; ours."""
 
@@ -75,17 +75,13 @@ class FrankaWire(Wire):
         self._kinematics = kinematics_of(robot.about, robot.gripper)
         self._carried = Carried.of(robot.gripper)
         self._urdf = urdf_of(robot.about).encode()
-        self._loads = SimLoads(robot.body)
+        self._forces = ExternalForces(SimLoads(robot.body))
         self._listener = Listener(robot.line, address, ARM_PORT, ARM_HEADER, REQUESTS)
         self._hand = FrankaHandWire(robot, address, self._listener) if robot.gripper is not None else None
         self._version = ARM_VERSION
         self._is_stopped_by_user = self._is_braked = False
         self._errors: set[Error] = set()
         self._reasons: set[Error] = set()  # of the last motion's end
-        self._collided = np.zeros(7)
-        self._collided_tool = np.zeros(6)
-        self._external, self._wrench = np.zeros(7), np.zeros(6)
-        self._threshold_torques, self._threshold_forces = np.full((2, 7), np.inf), np.full((2, 6), np.inf)
         self._pose_k_in_ee = Pose()
         self._pose_ee_in_ne = Pose()
         self._load = (0.0, np.zeros(3), np.zeros(9))
@@ -96,7 +92,7 @@ class FrankaWire(Wire):
         model.dof_frictionloss[model.jnt_dofadr[robot.body.layout.joint_ids]] = 0.0
         self._received = deque([1.0] * 100, maxlen=100)
         self._state = np.zeros((), ARM_STATE)
-        self._tell_mounting()
+        self._write_mounting()
 
     def site(self) -> Mapping[str, Mapping[str, Any]]:
         """Return the entries of arm and hand."""
@@ -120,24 +116,24 @@ class FrankaWire(Wire):
 
     def tick(self, robot: VirtualRobot) -> None:
         """Lead the arm for a millisecond, look after it, and tell its state."""
-        self._feel()
+        self._forces.measure(self._kinematics.jacobian(robot.joints))
         client = self._listener.client
         if self._mode is Mode.MOVE and client is not None:
             self._move(client.take_datagram())
         if self._mode is Mode.MOVE:
-            if errors := [*motion_errors(self._arm, robot.joints, robot.velocities), *self._collisions()]:
+            if errors := [*motion_errors(self._arm, robot.joints, robot.velocities), *self._forces.collisions()]:
                 self._abort(MoveStatus.REFLEX_ABORTED, errors)
         elif self._mode in (Mode.IDLE, Mode.GUIDING):
             robot.lead(self._joints)
         if client is not None and client.is_connected:
-            client.send_datagram(self._tell_state(client).tobytes())
+            client.send_datagram(self._write_state(client).tobytes())
         if self._hand is not None:
             self._hand.tick()
 
     def tell(self, fault: Fault) -> None:
         """Have the arm collide, be stopped or locked, complain of something, or be of another version."""
         if fault.name == "reflex":
-            self._collided[3] = 1.0  # as something that pushes against the forearm
+            self._forces.collided[3] = 1.0  # as something that pushes against the forearm
             self._abort(MoveStatus.REFLEX_ABORTED, [Error.JOINT_REFLEX])
         elif fault.name == "code":
             if fault.number not in list(Error):
@@ -199,10 +195,7 @@ class FrankaWire(Wire):
         if command == Command.SET_COLLISION_BEHAVIOR:
             if (values < 0).any():
                 return _INVALID
-            names = ("acceleration", "nominal")  # of the two regimes, the larger thresholds count
-            for bound, index in (("lower", 0), ("upper", 1)):
-                self._threshold_torques[index] = np.max([request[f"{bound}_torque_{name}"] for name in names], axis=0)
-                self._threshold_forces[index] = np.max([request[f"{bound}_force_{name}"] for name in names], axis=0)
+            self._forces.set_thresholds(request)
         elif command == Command.SET_JOINT_IMPEDANCE:
             return _DONE if (values >= 0).all() and (values <= 14250).all() else _INVALID
         elif command == Command.SET_CARTESIAN_IMPEDANCE:
@@ -218,7 +211,7 @@ class FrankaWire(Wire):
             if request["mass"] < 0:
                 return _INVALID
             self._load = (float(request["mass"]), np.array(request["center"]), np.array(request["inertia"]))
-        self._tell_mounting()
+        self._write_mounting()
         return _DONE
 
     def _begin(self, client: Client, number: int, request: Any) -> None:
@@ -257,7 +250,7 @@ class FrankaWire(Wire):
         if self._mode not in (Mode.IDLE, Mode.REFLEX):
             return _NOT_POSSIBLE
         self._errors.clear()
-        self._collided[:] = self._collided_tool[:] = 0.0
+        self._forces.forget_collisions()
         self._rest(Mode.IDLE)
         return _DONE
 
@@ -358,31 +351,18 @@ class FrankaWire(Wire):
 
     # --- Senses ---
 
-    def _feel(self) -> None:
-        tool = self._loads.tcp_wrench  # on the arm; the controller tells what the arm does to others
-        jacobian = self._kinematics.jacobian(self.robot.joints)
-        self._wrench += LOAD_FILTER * (-tool - self._wrench)
-        self._external += LOAD_FILTER * (-jacobian.T @ tool - self._external)
-
-    def _collisions(self) -> list[Error]:
-        joints = np.abs(self._external) > self._threshold_torques[1]
-        tool = np.abs(self._wrench) > self._threshold_forces[1]
-        self._collided = np.maximum(self._collided, joints)
-        self._collided_tool = np.maximum(self._collided_tool, tool)
-        return [Error.JOINT_REFLEX] * bool(joints.any()) + [Error.CARTESIAN_REFLEX] * bool(tool.any())
-
-    def _tell_mounting(self) -> None:
+    def _write_mounting(self) -> None:
         """Write into the state what only settings change."""
         state, carried = self._state, self._carried
-        state["F_T_NE"] = _columns(carried.pose_tcp_in_flange)
-        state["NE_T_EE"] = _columns(self._pose_ee_in_ne)
-        state["F_T_EE"] = _columns(carried.pose_tcp_in_flange * self._pose_ee_in_ne)
-        state["EE_T_K"] = _columns(self._pose_k_in_ee)
+        state["F_T_NE"] = columns(carried.pose_tcp_in_flange)
+        state["NE_T_EE"] = columns(self._pose_ee_in_ne)
+        state["F_T_EE"] = columns(carried.pose_tcp_in_flange * self._pose_ee_in_ne)
+        state["EE_T_K"] = columns(self._pose_k_in_ee)
         state["m_ee"], state["F_x_Cee"], state["I_ee"] = carried.mass, carried.center, carried.inertia.ravel()
         state["m_load"], state["F_x_Cload"], state["I_load"] = self._load
         state["O_ddP_O"] = (0.0, 0.0, -9.81)
 
-    def _tell_state(self, client: Client) -> NDArray[np.void]:
+    def _write_state(self, client: Client) -> NDArray[np.void]:
         robot, state = self.robot, self._state
         joints, velocities = robot.joints, robot.velocities
         generator = self._generator
@@ -390,11 +370,11 @@ class FrankaWire(Wire):
         led, pose_led = self._joints, self._pose
         if self._mode is not Mode.IDLE and generator is None:
             led, pose_led = joints, pose  # torques and brakes lead nothing
-        matrix = _columns(pose)
+        matrix = columns(pose)
         client.sent += 1
         state["message_id"] = client.sent
-        state["O_T_EE"] = matrix if self._pose_ee_in_ne == Pose() else _columns(pose * self._pose_ee_in_ne)
-        state["O_T_EE_d"] = state["O_T_EE_c"] = _columns(pose_led)
+        state["O_T_EE"] = matrix if self._pose_ee_in_ne == Pose() else columns(pose * self._pose_ee_in_ne)
+        state["O_T_EE_d"] = state["O_T_EE_c"] = columns(pose_led)
         state["elbow"] = (joints[2], -1.0 if joints[3] < 0 else 1.0)
         state["elbow_d"] = state["elbow_c"] = (led[2], -1.0 if led[3] < 0 else 1.0)
         state["q"] = state["theta"] = joints
@@ -408,13 +388,7 @@ class FrankaWire(Wire):
             state["O_dP_EE_c"] = state["O_dP_EE_d"] = 0.0
         state["tau_J"] = robot.torques
         state["tau_J_d"] = self._torques if self._controller_mode is Controller.EXTERNAL else 0.0
-        state["tau_ext_hat_filtered"] = self._external
-        state["O_F_ext_hat_K"] = self._wrench
-        turn = pose.matrix[:3, :3].T
-        state["K_F_ext_hat_K"] = np.concatenate([turn @ self._wrench[:3], turn @ self._wrench[3:]])
-        state["joint_contact"] = np.abs(self._external) > self._threshold_torques[0]
-        state["cartesian_contact"] = np.abs(self._wrench) > self._threshold_forces[0]
-        state["joint_collision"], state["cartesian_collision"] = self._collided, self._collided_tool
+        self._forces.write(state, pose)
         state["motion_generator_mode"], state["controller_mode"] = self._generator_mode, self._controller_mode
         state["errors"], state["reflex_reason"] = 0, 0
         state["errors"][list(self._errors)] = 1
@@ -422,8 +396,3 @@ class FrankaWire(Wire):
         state["robot_mode"] = self._mode
         state["control_command_success_rate"] = np.mean(self._received) if self._mode is Mode.MOVE else 0.0
         return state
-
-
-def _columns(pose: Pose) -> Vector:
-    """Return the matrix of a pose by column, (16,)."""
-    return pose.matrix.T.ravel()
