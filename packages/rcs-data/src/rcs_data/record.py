@@ -1,0 +1,235 @@
+"""Frozen records of options: every field is checked by its type and bounds, written as JSON and read back.
+
+Types and bounds are those of msgspec; messages say the value, what is valid, and the nearest name.
+
+Example:
+    >>> class Learner(Record):
+    ...     steps: Whole = 64
+    ...     schedule: Literal["constant", "linear"] = "linear"
+    >>> Learner.from_json(Learner(steps=8).to_json())
+    Learner(steps=8, schedule='linear')
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import types
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from typing_extensions import Self, dataclass_transform, get_type_hints
+
+from rcs_data.errors import InvalidSetup, UnknownName
+
+Given = TypeVar("Given")
+Kept = TypeVar("Kept")
+
+Whole = Annotated[int, Meta(ge=1)]
+"""A whole number from 1."""
+Natural = Annotated[int, Meta(ge=0)]
+"""A whole number from 0."""
+Positive = Annotated[float, Meta(gt=0)]
+"""A finite number above 0."""
+NotNegative = Annotated[float, Meta(ge=0)]
+"""A finite number from 0."""
+Share = Annotated[float, Meta(ge=0, le=1)]
+"""A number from 0 to 1."""
+INFINITE = "infinite"
+"""Allows infinity: `Annotated[float, Meta(gt=0), INFINITE]`. Other fields refuse it, and all refuse NaN."""
+
+
+def converted(
+    converter: Callable[[Given], Kept],
+    *,
+    default: Any = dataclasses.MISSING,
+    default_factory: Any = dataclasses.MISSING,
+) -> Any:
+    """Declare a field of a record that takes more than it keeps, such as one number for a width and a height.
+
+    Args:
+        converter: Returns what is kept; called with what is given, before it is checked. It returns what it does not
+            know as it is.
+        default: The default, as given.
+        default_factory: Makes the default, as given.
+    """
+    metadata = {"converter": converter}
+    if default is not dataclasses.MISSING:
+        return dataclasses.field(default=default, metadata=metadata)
+    return dataclasses.field(default_factory=default_factory, metadata=metadata)
+
+
+@dataclass_transform(
+    frozen_default=True, kw_only_default=True, field_specifiers=(dataclasses.field, dataclasses.Field, converted)
+)
+class Record:
+    """The parent of records of options. A subclass is a frozen dataclass with keyword arguments, without a decorator.
+
+    Sequences become tuples, mappings dictionaries, and numbers of NumPy those of Python. Numbers are finite unless the
+    field is marked with `INFINITE`. A subclass that checks more extends `__post_init__`.
+    """
+
+    hints: ClassVar[Mapping[str, str]] = {}
+    """What to do instead, in a sentence: by an option that does not exist, such as `fps`, or by an option and a wrong
+    value, such as `control=pose`."""
+
+    def __init_subclass__(cls, *, kw_only: bool = True) -> None:
+        """Make the subclass a frozen dataclass.
+
+        Args:
+            kw_only: Whether its own fields are given by name alone.
+        """
+        super().__init_subclass__()
+        dataclasses.dataclass(frozen=True, kw_only=kw_only)(cls)
+
+    def __post_init__(self) -> None:
+        """Check every field.
+
+        Raises:
+            InvalidSetup: A field has an invalid value; the message says what is valid.
+        """
+        kinds = _kinds(type(self))
+        for own in dataclasses.fields(self):  # pyright: ignore[reportArgumentType]  a dataclass by __init_subclass__
+            value = getattr(self, own.name)
+            if "converter" in own.metadata:
+                value = own.metadata["converter"](value)
+            object.__setattr__(self, own.name, self._checked(own.name, value, kinds[own.name]))
+
+    def _checked(self, name: str, value: Any, kind: Any) -> Any:
+        try:
+            return _fit(value, kind)
+        except InvalidSetup as err:  # of a record inside
+            raise InvalidSetup(f"{name}: {err}") from err
+        except msgspec.ValidationError as err:
+            hint = self.hints.get(f"{name}={value}", "") or _nearest(value, kind)
+            given = repr(value) if len(repr(value)) < 300 else f"{repr(value)[:300]}…"
+            raise InvalidSetup(f"{name} is {given}; valid: {valid_values(kind)}.{hint and ' '}{hint}") from err
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields as JSON values."""
+        return {own.name: as_json(getattr(self, own.name)) for own in dataclasses.fields(self)}  # pyright: ignore[reportArgumentType]
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """Return the record that `to_json` wrote.
+
+        Raises:
+            InvalidSetup: A key is unknown or a value is invalid.
+        """
+        if not isinstance(values, Mapping):  # pyright: ignore[reportUnnecessaryIsInstance]  files have anything
+            raise InvalidSetup(f"{cls.__name__} is {values!r}; valid is a mapping of its fields by name.")
+        names = [own.name for own in dataclasses.fields(cls) if own.init]  # pyright: ignore[reportArgumentType]
+        for key in values:
+            if key not in names:
+                hint = cls.hints.get(str(key), "")
+                raise InvalidSetup(UnknownName(f"option of {cls.__name__}", str(key), names, hint).message)
+        return cls(**values)
+
+
+@cache
+def _kinds(record: type[Record]) -> dict[str, Any]:
+    return get_type_hints(record, include_extras=True)
+
+
+def _fit(value: Any, kind: Any) -> Any:
+    """Return a value in the form that a type has.
+
+    msgspec converts what has no parts. Unions are taken apart here, because msgspec 0.22 crashes on one of a number
+    with bounds and a tuple of fixed length.
+
+    Raises:
+        msgspec.ValidationError: The value is not of that type.
+    """
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType):
+        return _fit_any(value, parts)
+    if isinstance(kind, type) and issubclass(kind, Record):
+        if isinstance(value, kind):
+            return value
+        return kind.from_json(msgspec.convert(value, dict[str, Any]))
+    if origin is tuple:
+        items = msgspec.convert(value, tuple[Any, ...])
+        kinds = parts[:1] * len(items) if parts[-1] is ... else parts
+        if len(items) != len(kinds):
+            raise msgspec.ValidationError(f"Expected {len(kinds)} items, got {len(items)}")
+        return tuple(map(_fit, items, kinds))
+    if origin is not None and isinstance(origin, type) and issubclass(origin, Mapping):
+        return {_fit(key, parts[0]): _fit(one, parts[1]) for key, one in msgspec.convert(value, dict[Any, Any]).items()}
+    found = msgspec.convert(value, kind)
+    if isinstance(found, float) and not math.isfinite(found) and (math.isnan(found) or INFINITE not in parts):
+        raise msgspec.ValidationError("Expected a finite number")
+    return found
+
+
+def _fit_any(value: Any, kinds: Sequence[Any]) -> Any:
+    reasons: list[Exception] = []
+    for kind in kinds:
+        try:
+            return _fit(value, kind)
+        except (msgspec.ValidationError, InvalidSetup) as err:
+            reasons.append(err)
+    raise next((err for err in reasons if isinstance(err, InvalidSetup)), reasons[0])
+
+
+def valid_values(kind: Any) -> str:
+    """Return in words what a type with bounds allows."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        bounds = [words for one in parts[1:] if isinstance(one, Meta) for words in _bounds(one)]
+        what = valid_values(parts[0]).replace("finite ", "") if INFINITE in parts else valid_values(parts[0])
+        return " ".join([what, " and ".join(bounds)]).rstrip()
+    if origin in (Union, types.UnionType):
+        return ", or ".join(map(valid_values, parts))
+    if origin is Literal:
+        return ", ".join(map(repr, parts))
+    if origin is tuple:
+        many = f"any number of: {valid_values(parts[0])}" if parts[-1] is ... else ", ".join(map(valid_values, parts))
+        return f"a sequence ({many})"
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return f"a mapping ({valid_values(parts[0])}: {valid_values(parts[1])})"
+    return _WORDS.get(kind) or f"an object of {getattr(origin or kind, '__name__', kind)}"
+
+
+_WORDS: dict[Any, str] = {
+    bool: "True, False",
+    int: "a whole number",
+    float: "a finite number",
+    str: "a text",
+    type(None): "None",
+    Any: "anything",
+}
+
+
+def _bounds(meta: Meta) -> list[str]:
+    bounds = {"above": meta.gt, "from": meta.ge, "below": meta.lt, "up to": meta.le, "of at least": meta.min_length}
+    return [f"{word} {bound:g}" for word, bound in bounds.items() if bound is not None]
+
+
+def _nearest(value: Any, kind: Any) -> str:
+    """Return a sentence on the nearest valid name, or on names that are given as one text."""
+    if not isinstance(value, str):
+        return ""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType, Annotated):
+        return next(filter(None, (_nearest(value, part) for part in parts)), "")
+    if origin is tuple:
+        return f"Give a sequence, such as ({value!r},)."
+    names = [str(part) for part in parts] if origin is Literal else []
+    near = difflib.get_close_matches(value.lower(), names, n=1, cutoff=0.5)
+    return f"Did you mean {near[0]!r}?" if near else ""
+
+
+def as_json(value: Any) -> Any:
+    """Return a value of a record as JSON values: records as dictionaries, sequences as lists."""
+    if isinstance(value, Record):
+        return value.to_json()
+    if isinstance(value, Mapping):
+        return {key: as_json(one) for key, one in value.items()}
+    return [as_json(one) for one in value] if isinstance(value, tuple | list) else value
