@@ -20,7 +20,7 @@ from rcs.robots.description import Mount
 from rcs.robots.digit.description import DIGIT
 from rcs.sim import Scene, World
 from rcs.sim.tactile import Look, SimTactile
-from rcs.sim.tactile_placement import TactilePlacement
+from rcs.sim.tactile_mounts import TactilePlacement
 
 TOUCH = TactilePlacement(name="touch", sensor=DIGIT, parent_body="world", sensor_in_parent=Mount())
 ACROSS, EDGE = math.radians(50), math.radians(45)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import rcs
 from rcs.agents import agent_for
-from rcs.sim.picture import Picture
+from rcs.sim.viewer import Picture
 
 FOLDER = Path(__file__).parents[1] / "docs" / "img"
 SIZE = (384, 288)

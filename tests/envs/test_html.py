@@ -57,7 +57,7 @@ def test_there_is_no_picture_without_opengl(monkeypatch: pytest.MonkeyPatch) -> 
     def refuse(*_: object, **__: object) -> Renderer:
         raise MissingDependency("There is no OpenGL.")
 
-    monkeypatch.setattr("rcs.sim.picture.Renderer", refuse)
+    monkeypatch.setattr("rcs.sim.viewer.Renderer", refuse)
     env = rcs.make("Free")
     env.reset(seed=0)
     assert "<img" not in shown(env)

@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.devices import Camera
 from rcs.errors import InvalidSetup
 from rcs.robots.description import Mount
 from rcs.robots.realsense_d435.description import REALSENSE_D435
 from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
-from rcs.sim.camera import SimCamera, SimCameras
-from rcs.sim.picture import Picture
-from rcs.testing import CameraContract
+from rcs.sim.camera import SimCameras
+from rcs.sim.viewer import Picture
 
 EYE = CameraPlacement(
     name="eye",
@@ -45,22 +43,6 @@ def cameras(world: World) -> Iterator[SimCameras]:
     cameras = SimCameras(world, [EYE], size=SIZE, has_depth=True)
     yield cameras
     cameras.close()
-
-
-@pytest.mark.gl
-class TestSimCamera(CameraContract):
-    @pytest.fixture(autouse=True)
-    def _in_a_world(self, world: World, cameras: SimCameras) -> Iterator[None]:
-        self.world, self.cameras = world, cameras
-        yield
-        self.__dict__.clear()  # pytest keeps test objects to the end, and with them the world
-
-    def make_camera(self) -> Camera:
-        return SimCamera(self.cameras, "eye", self.world)
-
-    def advance(self, seconds: float) -> None:
-        for _ in range(round(30 * seconds)):
-            self.world.advance()
 
 
 @pytest.mark.gl
@@ -145,11 +127,6 @@ def test_a_camera_without_depth_gives_none(world: World) -> None:
     blind = replace(EYE, camera=replace(REALSENSE_D435, has_depth=False))
     with pytest.raises(InvalidSetup, match="has no depth"):
         SimCameras(world, [blind], has_depth=True)
-
-
-def test_a_camera_that_is_not_in_the_scene_is_refused(world: World) -> None:
-    with pytest.raises(InvalidSetup, match="not 'nose'"):
-        SimCamera(SimCameras(world, [EYE]), "nose", world)
 
 
 @pytest.mark.gl

@@ -8,11 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from rcs.errors import InvalidSetup
 from rcs.robots.description import Mount
 from rcs.robots.realsense_d435.description import REALSENSE_D435
 from rcs.sim import CameraPlacement, World
-from rcs.sim.camera import SimCamera, SimCameras
+from rcs.sim.camera import SimCameras
 from rcs.sim.camera_feed import CameraFeed
 from rcs.sim.frame_clock import FrameClock, FrameRate
 from rcs.sim.scene import Scene
@@ -189,23 +188,6 @@ def test_some_cameras_and_copies_are_drawn_like_all(world: World, feed: tuple[Ca
             np.testing.assert_array_equal(values, whole["slow"][key][rows])
 
 
-def test_a_device_has_the_rate_that_is_asked_for(model: mujoco.MjModel) -> None:
-    world = World(model, frequency=60.0)
-    cameras = SimCameras(world, PLACEMENTS, size=SIZE)
-    camera = SimCamera(cameras, "slow", world, fps=30)
-    assert camera.mode.fps == 30
-    assert SimCamera(cameras, "slow", world).mode.fps == 60
-    camera.open()
-    frames = [camera.read()]
-    for _ in range(4):
-        world.advance()
-        frames.append(camera.read())
-    assert [frame.number for frame in frames] == [0, 0, 1, 1, 2]
-    assert [frame.device_time for frame in frames] == pytest.approx([0.0, 0.0, 2 / 60, 2 / 60, 4 / 60], abs=0.002)
-    np.testing.assert_array_equal(frames[1].rgb, frames[0].rgb)
-    camera.close()
-
-
 def test_a_mode_has_exactly_the_intrinsics_of_the_device(model: mujoco.MjModel) -> None:
     world = World(model)
     for mode in REALSENSE_D435.modes:
@@ -215,9 +197,3 @@ def test_a_mode_has_exactly_the_intrinsics_of_the_device(model: mujoco.MjModel) 
         matrix = cameras.read()["fast"]["intrinsics"]
         np.testing.assert_allclose(matrix, REALSENSE_D435.intrinsics(mode.width, mode.height), rtol=1e-14)
         cameras.close()
-
-
-def test_a_device_at_a_rate_that_the_camera_does_not_have_is_refused(model: mujoco.MjModel) -> None:
-    world = World(model)
-    with pytest.raises(InvalidSetup, match="6, 15, 30, 60 for that size"):
-        SimCamera(SimCameras(world, PLACEMENTS, size=SIZE), "slow", world, fps=25)

@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from rcs.robots.digit.description import DIGIT
-from rcs.sim.gel import Gel
-from rcs.sim.gel_light import GelLight
+from rcs.sim.gel import Gel, GelLight
 
 GEL = Gel(DIGIT)
 

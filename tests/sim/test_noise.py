@@ -9,8 +9,7 @@ import rcs
 from rcs.robots.realsense_d405.description import REALSENSE_D405
 from rcs.robots.realsense_d435.description import REALSENSE_D435
 from rcs.robots.usb_webcam.description import USB_WEBCAM
-from rcs.sim.noise import COLOUR_DEVIATION, CameraNoise, nearest_depth
-from rcs.sim.stereo import SUBPIXEL
+from rcs.sim.noise import COLOUR_DEVIATION, SUBPIXEL, CameraNoise, nearest_depth
 from rcs.testing.env_contract import require_same_bits
 
 SIZE = (320, 240)

@@ -16,7 +16,7 @@ from rcs.envs.observers.record import record
 from rcs.errors import InvalidSetup
 from rcs.hardware import Site
 from rcs.setups.lab import lab_of
-from rcs.sim.labels import Labels
+from rcs.sim.camera import Labels
 from rcs.testing.env_contract import require_same_bits
 
 pytestmark = pytest.mark.gl

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,15 +13,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.devices import Camera
 from rcs.errors import InvalidSetup
 from rcs.robots.description import Mount
 from rcs.robots.digit.description import DIGIT
 from rcs.sim import Scene, World
 from rcs.sim.gel import Gel
-from rcs.sim.tactile import SimTactile, SimTactileCamera
-from rcs.sim.tactile_placement import TactilePlacement
-from rcs.testing import CameraContract
+from rcs.sim.tactile import SimTactile
+from rcs.sim.tactile_mounts import TactilePlacement
 
 TOUCH = TactilePlacement(
     name="touch",
@@ -113,21 +111,6 @@ def sensor(world: World) -> SimTactile:
 def background(world: World, sensor: SimTactile) -> NDArray[np.uint8]:
     put(world, [1.0, 0.0, 0.0])
     return sensor.read()["rgb"]
-
-
-class TestSimTactileCamera(CameraContract):
-    @pytest.fixture(autouse=True)
-    def _in_a_world(self, world: World, sensor: SimTactile) -> Iterator[None]:
-        self.world, self.sensor = world, sensor
-        yield
-        self.__dict__.clear()  # pytest keeps test objects to the end, and with them the world
-
-    def make_camera(self) -> Camera:
-        return SimTactileCamera(self.sensor, self.world)
-
-    def advance(self, seconds: float) -> None:
-        for _ in range(round(30 * seconds)):
-            self.world.advance()
 
 
 @pytest.mark.parametrize("radius", [0.002, 0.003, 0.004, 0.006, 0.01, 0.02])
@@ -346,9 +329,3 @@ def test_a_sensor_that_is_not_in_the_scene_is_refused(cart: mujoco.MjModel) -> N
 def test_an_option_that_does_not_exist_is_refused(world: World) -> None:
     with pytest.raises(InvalidSetup, match=r"valid: .*'force', 'geometry'"):
         SimTactile(world, TOUCH, indentation="magic")  # pyright: ignore[reportArgumentType]
-
-
-def test_a_device_is_of_one_copy() -> None:
-    batch = ball_world(0.008, copies=2, threads=1)
-    with pytest.raises(InvalidSetup, match="one copy"):
-        SimTactileCamera(SimTactile(batch, TOUCH), batch)

@@ -9,8 +9,7 @@ import pytest
 
 from rcs.errors import InvalidSetup, MissingDependency
 from rcs.robots.digit.description import DIGIT
-from rcs.sim.gel import Gel
-from rcs.sim.gel_light import GelLight
+from rcs.sim.gel import Gel, GelLight
 from rcs.sim.tacto import Tacto
 
 GEL = Gel(DIGIT)

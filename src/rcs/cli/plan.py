@@ -19,7 +19,7 @@ from rcs.errors import InvalidSetup
 from rcs.planning.timed_path import TimedPath
 from rcs.rollout.video import Video
 from rcs.setups.make import make
-from rcs.sim.picture import Picture
+from rcs.sim.viewer import Picture
 
 RATE = 30.0
 """Pictures per second of a video."""

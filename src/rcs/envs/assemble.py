@@ -41,11 +41,11 @@ from rcs.sim.action_latency import keep_history
 from rcs.sim.camera import SimCameras
 from rcs.sim.frame_clock import FrameClock, FrameRate
 from rcs.sim.loads import CollisionGuard
-from rcs.sim.picture import Picture
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import CameraPlacement, RobotPlacement, Scene
 from rcs.sim.tactile import SimTactile
 from rcs.sim.textures import add_textures
+from rcs.sim.viewer import Picture
 from rcs.sim.world import World
 from rcs.spatial import Pose, inverse, tquat_to_matrix
 

@@ -24,8 +24,8 @@ from rcs.envs.stack import Stack
 from rcs.envs.start import Start, check_start, check_state
 from rcs.envs.state import EnvState, read_state, write_state
 from rcs.errors import InvalidSetup, WrongOrder, require_fields
-from rcs.sim.picture import Picture
 from rcs.sim.scene import RobotPlacement
+from rcs.sim.viewer import Picture
 
 __all__ = ["DIVERGED", "FAULT", "Env"]
 

@@ -7,7 +7,7 @@ from dataclasses import fields
 from rcs.envs.scenario import Scenario
 from rcs.envs.setup import Setup
 from rcs.errors import MissingDependency
-from rcs.sim.picture import Picture
+from rcs.sim.viewer import Picture
 
 SIZE = (320, 240)
 """Width and height of the picture [px]."""

@@ -13,7 +13,7 @@ from rcs.envs.setup import Setup
 from rcs.envs.task import Task
 from rcs.hardware.site import Devices
 from rcs.sim.scene import CameraPlacement, RobotPlacement
-from rcs.sim.tactile_placement import TactilePlacement
+from rcs.sim.tactile_mounts import TactilePlacement
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,7 +21,7 @@ from rcs.setups.ids import ids
 from rcs.setups.lab import lab_of
 from rcs.setups.make import make, resolve
 from rcs.sim.camera import Quality
-from rcs.sim.picture import Picture
+from rcs.sim.viewer import Picture
 
 SIZE = (960, 720)
 """Size of a picture [px]."""

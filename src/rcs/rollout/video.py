@@ -16,7 +16,7 @@ from rcs.envs.env import Env
 from rcs.envs.observers import Observer, Transition
 from rcs.errors import InvalidSetup
 from rcs.sim.camera import Quality
-from rcs.sim.picture import Picture
+from rcs.sim.viewer import Picture
 
 
 class Video:

@@ -31,8 +31,7 @@ from rcs.setups.calibration import calibrated
 from rcs.setups.lab import Lab, Stand, lab_of
 from rcs.sim.own_cameras import cameras_of
 from rcs.sim.scene import CameraPlacement, RobotPlacement
-from rcs.sim.tactile_mounts import on_pads
-from rcs.sim.tactile_placement import TactilePlacement
+from rcs.sim.tactile_mounts import TactilePlacement, on_pads
 from rcs.sim.world import require_count
 from rcs.tasks.distractors import Distractors
 

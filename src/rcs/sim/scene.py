@@ -20,7 +20,7 @@ from rcs.robots.description import ArmDescription, CameraDescription, GripperDes
 from rcs.sim.detail import Assets, exchange_visuals
 from rcs.sim.robot_check import check_robot
 from rcs.sim.springs import give_way
-from rcs.sim.tactile_placement import TactilePlacement, attach_tactile
+from rcs.sim.tactile_mounts import TactilePlacement, attach_tactile
 from rcs.sim.textures import add_wood
 
 OVERVIEW = "overview"

@@ -1,7 +1,7 @@
 """A tactile sensor with a camera behind its gel, such as the DIGIT, in a world of one copy or of many.
 
 Rays from the sensor's camera find objects in the gel, with the precision of the geometry and without OpenGL. The gel's
-surface follows (`gel`), and its lights make the frame (`gel_light`). Contacts in MuJoCo are much stiffer than a gel, so
+surface follows, and its lights make the frame (`gel`). Contacts in MuJoCo are much stiffer than a gel, so
 by default the measured contact force determines the indentation. Soft bodies (flexes) are not felt.
 """
 
@@ -14,11 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs._core import Camera, CameraMode, Frame
 from rcs.errors import InvalidSetup
-from rcs.sim.gel import Gel
-from rcs.sim.gel_light import GelImage, GelLight, GelRenderer
-from rcs.sim.tactile_placement import UNFELT_GROUP, TactilePlacement
+from rcs.sim.gel import Gel, GelImage, GelLight, GelRenderer
+from rcs.sim.tactile_mounts import UNFELT_GROUP, TactilePlacement
 from rcs.sim.world import World
 
 Indentation = Literal["force", "geometry"]
@@ -237,27 +235,3 @@ def _renderer(placement: TactilePlacement, gel: Gel, look: TactileLook, backgrou
 
         return Tacto(placement.sensor, gel)
     return GelLight(placement.sensor, gel, background)
-
-
-class SimTactileCamera(Camera):
-    """A tactile sensor of a world of one copy as a device."""
-
-    def __init__(self, sensor: SimTactile, world: World) -> None:
-        """Use a sensor.
-
-        Raises:
-            InvalidSetup: The world has many copies.
-        """
-        if world.leading:
-            raise InvalidSetup("SimTactileCamera needs a world of one copy.")
-        width, height = sensor.gel.size
-        super().__init__(sensor.placement.name, CameraMode(width, height, world.frequency, False))
-        self._sensor = sensor
-        self._world = world
-
-    def _read(self) -> Frame:
-        number = int(self._world.core.steps[0])
-        return Frame(self._sensor.read()["rgb"], number=number, device_time=float(self._world.time))
-
-    def _close(self) -> None:
-        self._sensor.close()

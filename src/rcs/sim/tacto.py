@@ -1,7 +1,7 @@
 """Frames of a tactile sensor drawn by Tacto 0.0.3 (extra `tacto`), to compare with or to train on.
 
 RCS computes the gel's surface, so any object of a scene can be felt; Tacto draws it with its own lights, materials and
-OpenGL context. Without a GPU it takes 50 to 130 ms a frame, `gel_light` about 1 ms.
+OpenGL context. Without a GPU it takes 50 to 130 ms a frame, `gel` about 1 ms.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from rcs._core import probe_gl
 from rcs.errors import InvalidSetup, MissingDependency
 from rcs.robots.tactile import TactileDescription
-from rcs.sim.gel import Gel, Image
-from rcs.sim.gel_light import GelImage
+from rcs.sim.gel import Gel, GelImage, Image
 
 MESH_ROWS = 160
 """Vertices of the surface along the sensor's z axis; twice as many take four times as long and look the same."""
