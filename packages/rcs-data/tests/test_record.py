@@ -15,6 +15,10 @@ from rcs_data.errors import InvalidSetup
 from rcs_data.record import INFINITE, Meta, Natural, NotNegative, Positive, Record, Share, Whole, converted
 
 
+def _words(given: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (given,) if isinstance(given, str) else given
+
+
 class Size(Record, kw_only=False):
     """A size."""
 
@@ -50,13 +54,16 @@ class Options(Record):
     more: Mapping[str, Any] = field(default_factory=dict[str, Any])
     edge: Whole | tuple[Whole, Whole] = 3
     either: bool | str = False
-    words: tuple[str, ...] = converted(lambda given: (given,) if isinstance(given, str) else given, default=())
+    words: tuple[str, ...] = converted(
+        converter=lambda given: (given,) if isinstance(given, str) else given, default=()
+    )
 
 
 def test_a_record_is_a_frozen_dataclass_with_keyword_arguments() -> None:
     options = Options(count=2)
     assert dataclasses.replace(options, name="b") == Options(count=2, name="b")
     assert hash(Size(2, 3)) == hash(Size(2, 3))
+    assert hash(Options(more={"a": [1], "b": {}})) == hash(Options(more={"b": {}, "a": [1]}))
     with pytest.raises(dataclasses.FrozenInstanceError):
         options.count = 3  # pyright: ignore[reportAttributeAccessIssue]
     with pytest.raises(TypeError):

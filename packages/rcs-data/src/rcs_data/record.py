@@ -45,10 +45,11 @@ INFINITE = "infinite"
 
 
 def converted(
-    converter: Callable[[Given], Kept],
     *,
+    converter: Callable[[Given], Kept],
     default: Any = dataclasses.MISSING,
     default_factory: Any = dataclasses.MISSING,
+    kw_only: bool = True,
 ) -> Any:
     """Declare a field of a record that takes more than it keeps, such as one number for a width and a height.
 
@@ -57,11 +58,12 @@ def converted(
             know as it is.
         default: The default, as given.
         default_factory: Makes the default, as given.
+        kw_only: Whether it is given by name alone.
     """
-    metadata = {"converter": converter}
-    if default is not dataclasses.MISSING:
-        return dataclasses.field(default=default, metadata=metadata)
-    return dataclasses.field(default_factory=default_factory, metadata=metadata)
+    own: Any = dataclasses.field(  # pyright: ignore[reportCallIssue]  one of the defaults is MISSING
+        default=default, default_factory=default_factory, kw_only=kw_only, metadata={"converter": converter}
+    )
+    return own
 
 
 @dataclass_transform(
@@ -86,6 +88,11 @@ class Record:
         """
         super().__init_subclass__()
         dataclasses.dataclass(frozen=True, kw_only=kw_only)(cls)
+        cls.__hash__ = Record.__hash__  # a dataclass's own one knows no mappings
+
+    def __hash__(self) -> int:
+        """Return the same number for equal records."""
+        return hash((type(self), *(_hashable(getattr(self, own.name)) for own in _fields(self))))
 
     def __post_init__(self) -> None:
         """Check every field.
@@ -94,7 +101,7 @@ class Record:
             InvalidSetup: A field has an invalid value; the message says what is valid.
         """
         kinds = _kinds(type(self))
-        for own in dataclasses.fields(self):  # pyright: ignore[reportArgumentType]  a dataclass by __init_subclass__
+        for own in _fields(self):
             value = getattr(self, own.name)
             if "converter" in own.metadata:
                 value = own.metadata["converter"](value)
@@ -112,7 +119,7 @@ class Record:
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields as JSON values."""
-        return {own.name: as_json(getattr(self, own.name)) for own in dataclasses.fields(self)}  # pyright: ignore[reportArgumentType]
+        return {own.name: as_json(getattr(self, own.name)) for own in _fields(self)}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
@@ -123,12 +130,24 @@ class Record:
         """
         if not isinstance(values, Mapping):  # pyright: ignore[reportUnnecessaryIsInstance]  files have anything
             raise InvalidSetup(f"{cls.__name__} is {values!r}; valid is a mapping of its fields by name.")
-        names = [own.name for own in dataclasses.fields(cls) if own.init]  # pyright: ignore[reportArgumentType]
+        names = [own.name for own in _fields(cls) if own.init]
         for key in values:
             if key not in names:
                 hint = cls.hints.get(str(key), "")
-                raise InvalidSetup(UnknownName(f"option of {cls.__name__}", str(key), names, hint).message)
+                if hint:
+                    raise InvalidSetup(f"{cls.__name__} has no option {key!r}. {hint}")
+                raise InvalidSetup(UnknownName(f"option of {cls.__name__}", str(key), names).message)
         return cls(**values)
+
+
+def _fields(record: Any) -> tuple[dataclasses.Field[Any], ...]:
+    return dataclasses.fields(record)
+
+
+def _hashable(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return frozenset((key, _hashable(one)) for key, one in value.items())
+    return tuple(map(_hashable, value)) if isinstance(value, list | tuple) else value
 
 
 @cache
@@ -228,7 +247,7 @@ def _nearest(value: Any, kind: Any) -> str:
 
 def as_json(value: Any) -> Any:
     """Return a value of a record as JSON values: records as dictionaries, sequences as lists."""
-    if isinstance(value, Record):
+    if hasattr(value, "to_json"):
         return value.to_json()
     if isinstance(value, Mapping):
         return {key: as_json(one) for key, one in value.items()}
