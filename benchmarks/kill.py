@@ -40,7 +40,7 @@ from rcs_data.check.repair import repair
 from rich.console import Console
 from rich.progress import track
 
-from rcs.envs.observers import Observer, Transition
+from rcs.envs.observer import Observer, Transition
 from rcs.envs.setup import Setup
 from rcs.errors import DatasetError
 from rcs.rollout.collect import Collection, Progress, collect

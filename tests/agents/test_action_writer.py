@@ -7,13 +7,13 @@ import pytest
 
 import rcs
 from rcs.agents.action_writer import ActionWriter
-from rcs.envs.chain import Chain
-from rcs.envs.clock import Clock
 from rcs.envs.env import Env
 from rcs.envs.layers import CartesianControl, Layer, LimitStep, Relative
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import JOINTS, TQUAT
-from rcs.envs.stack import Stack
+from rcs.envs.step.chain import Chain
+from rcs.envs.step.clock import Clock
+from rcs.envs.step.stack import Stack
 from rcs.kinematics import kinematics_of
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND

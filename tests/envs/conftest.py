@@ -9,14 +9,14 @@ import pytest
 
 from rcs.devices import ArmLimits
 from rcs.devices.fakes import FakeArm, FakeGripper
-from rcs.envs.chain import Chain
-from rcs.envs.clock import Clock
 from rcs.envs.control_layers import layers_of
 from rcs.envs.env import Env
-from rcs.envs.ports import ArmPort, GripperPort
+from rcs.envs.ports.port import ArmPort, GripperPort
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Control
-from rcs.envs.stack import Stack
+from rcs.envs.step.chain import Chain
+from rcs.envs.step.clock import Clock
+from rcs.envs.step.stack import Stack
 from rcs.kinematics import kinematics_of
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.envs.observers import Observer, Transition
+from rcs.envs.observer import Observer, Transition
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, MissingDependency, WrongOrder
 from rcs.testing.env_contract import require_same_bits
 

@@ -15,7 +15,7 @@ from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.envs.assemble import assemble
 from rcs.envs.control_layers import RETURN_SPEED
 from rcs.envs.env import Env
-from rcs.envs.gate import Gate
+from rcs.envs.gates.gate import Gate
 from rcs.envs.setup import Setup
 from rcs.hardware import Site
 from rcs.robots.fr3.description import FR3

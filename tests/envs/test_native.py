@@ -16,7 +16,7 @@ from rcs.cli.runs import SetupOptions
 from rcs.devices import Arm, CommandKind
 from rcs.devices.fakes import Body, FakeArm, FakeGripper
 from rcs.envs.env import Env
-from rcs.envs.gate import Gate
+from rcs.envs.gates.gate import Gate
 from rcs.envs.observers.record import record_all
 from rcs.errors import InvalidSetup, Refused
 from rcs.hardware import Site

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.task import Area, Judgement, Task
 from rcs.errors import InvalidSetup
 from rcs.tasks import Free
@@ -74,11 +74,11 @@ def test_what_is_no_options_of_the_task_is_refused(options: Any) -> None:
 
 def test_places_lie_in_the_area_and_differ_between_copies() -> None:
     area = Area(center=(0.4, -0.1), size=(0.2, 0.1))
-    places = area.draw_place(Draws(np.arange(500), np.zeros(500, np.int64)), 0.5)
+    places = area.draw_place(EpisodeRandom(np.arange(500), np.zeros(500, np.int64)), 0.5)
     assert places.shape == (500, 3)
     assert (np.abs(places - [0.4, -0.1, 0.0]) <= [0.1, 0.05, 0.5]).all()
     assert (np.ptp(places, axis=0) > [0.19, 0.095, 0.95]).all()
-    np.testing.assert_array_equal(area.draw_place(Draws(7, 0), 0.5), places[7])
+    np.testing.assert_array_equal(area.draw_place(EpisodeRandom(7, 0), 0.5), places[7])
 
 
 class Judged(Free):

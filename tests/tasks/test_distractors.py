@@ -7,7 +7,7 @@ import colorsys
 import numpy as np
 import pytest
 
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.task import Area
 from rcs.sim import Scene, World
 from rcs.sim.scene import FLOOR_HEIGHT
@@ -41,7 +41,7 @@ def radii(world: World) -> np.ndarray:
 def test_they_lie_apart_from_each_other_and_from_the_target_and_do_not_move() -> None:
     world, distractors = scene_of(6, COPIES)
     center, radius = np.tile(TARGET[0], (COPIES, 1)), TARGET[1]
-    distractors.reset(Draws(np.arange(COPIES), np.zeros(COPIES)), ..., Area(), [(center, radius)])
+    distractors.reset(EpisodeRandom(np.arange(COPIES), np.zeros(COPIES)), ..., Area(), [(center, radius)])
     world.refresh()
     start, own = poses(world).copy(), radii(world)
     assert (start[..., 2] > 0).all()
@@ -59,14 +59,14 @@ def test_they_lie_apart_from_each_other_and_from_the_target_and_do_not_move() ->
 def test_each_copy_has_its_own_and_they_are_those_of_a_single_world() -> None:
     world, distractors = scene_of(4, 3)
     seeds = np.array([5, 6, 7])
-    distractors.reset(Draws(seeds, np.zeros(3)), ..., Area())
+    distractors.reset(EpisodeRandom(seeds, np.zeros(3)), ..., Area())
     assert len({tuple(pose) for pose in poses(world)[:, 0]}) == 3
     before = world.qpos.copy()
-    distractors.reset(Draws(seeds[[0, 2]], np.ones(2)), np.array([0, 2]), Area())
+    distractors.reset(EpisodeRandom(seeds[[0, 2]], np.ones(2)), np.array([0, 2]), Area())
     np.testing.assert_array_equal(world.qpos[1], before[1])
     for copy, episode in enumerate((1, 0, 1)):
         single, others = scene_of(4)
-        others.reset(Draws(seeds[copy], episode), ..., Area())
+        others.reset(EpisodeRandom(seeds[copy], episode), ..., Area())
         np.testing.assert_array_equal(single.qpos, world.qpos[copy])
         for field in ("geom_size", "geom_rgba", "body_mass", "body_inertia", "dof_M0"):
             np.testing.assert_array_equal(single.field(field), world.field(field)[copy], err_msg=field)
@@ -74,7 +74,7 @@ def test_each_copy_has_its_own_and_they_are_those_of_a_single_world() -> None:
 
 def test_no_distractor_is_green() -> None:
     world, distractors = scene_of(MOST, COPIES)
-    distractors.reset(Draws(np.arange(COPIES), np.zeros(COPIES)), ..., Area())
+    distractors.reset(EpisodeRandom(np.arange(COPIES), np.zeros(COPIES)), ..., Area())
     for rgba in world.field("geom_rgba")[:, -MOST:].reshape(-1, 4):
         hue, saturation, value = colorsys.rgb_to_hsv(*rgba[:3])
         assert not GREENS[0] + 1 < 360 * hue < GREENS[1] - 1
@@ -84,7 +84,7 @@ def test_no_distractor_is_green() -> None:
 
 def test_those_that_find_no_room_lie_on_the_floor() -> None:
     world, distractors = scene_of(3)
-    distractors.reset(Draws(0, 0), ..., Area(size=(0.01, 0.01)), [(np.array([0.5, 0.0]), 0.2)])
+    distractors.reset(EpisodeRandom(0, 0), ..., Area(size=(0.01, 0.01)), [(np.array([0.5, 0.0]), 0.2)])
     heights = world.field("geom_size")[-3:, [2, 1, 2]][np.arange(3), np.arange(3)]
     np.testing.assert_allclose(poses(world)[:, 2], FLOOR_HEIGHT + heights)
     start = world.qpos.copy()
@@ -97,14 +97,14 @@ def test_those_that_find_no_room_lie_on_the_floor() -> None:
 def test_around_an_object_they_lie_near_it() -> None:
     world, distractors = scene_of(2, COPIES)
     middle = np.column_stack([np.full(COPIES, 0.4), np.linspace(-0.2, 0.2, COPIES)])
-    draws = Draws(np.arange(COPIES), np.zeros(COPIES))
-    distractors.reset(draws, ..., Area(), [(middle, 0.05)], around=(middle, 0.15))
+    random = EpisodeRandom(np.arange(COPIES), np.zeros(COPIES))
+    distractors.reset(random, ..., Area(), [(middle, 0.05)], around=(middle, 0.15))
     assert (np.abs(poses(world)[..., :2] - middle[:, None]) <= 0.15 + 1e-12).all()
 
 
 def test_none_at_all_adds_nothing() -> None:
     world, distractors = scene_of(0)
-    distractors.reset(Draws(0, 0), ..., Area())
+    distractors.reset(EpisodeRandom(0, 0), ..., Area())
     assert world.model.nq == 0
 
 
@@ -115,7 +115,7 @@ def test_their_size_goes_with_the_scale(scale: float) -> None:
     distractors.furnish(scene)
     world = World(scene.compile())
     distractors.bind(world)
-    distractors.reset(Draws(3, 0), ..., Area())
+    distractors.reset(EpisodeRandom(3, 0), ..., Area())
     whole, others = scene_of(2)
-    others.reset(Draws(3, 0), ..., Area())
+    others.reset(EpisodeRandom(3, 0), ..., Area())
     np.testing.assert_allclose(world.field("geom_size")[-2:], scale * whole.field("geom_size")[-2:])

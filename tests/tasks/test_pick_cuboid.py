@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.errors import InvalidSetup
 from rcs.robots.description import Mount
 from rcs.robots.fr3.description import FR3
@@ -160,7 +160,7 @@ def test_the_cuboid_lies_in_the_scene_and_is_told_in_the_base_frame() -> None:
     scene.add_robot(RobotPlacement(name="fr3", arm=FR3, gripper=FRANKA_HAND, base_in_scene=turned))
     world = World(scene.compile())
     task.bind(world, [SimRobot(world, scene.robots[0])])
-    task.reset(Draws(0, 0), ...)
+    task.reset(EpisodeRandom(0, 0), ...)
     world.refresh()
     in_base = Pose.from_tquat(task.describe()["cuboid"])
     in_scene = Pose(turned.translation, turned.quaternion) * in_base

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 import rcs
 from rcs.agents import agent_for
-from rcs.envs.draws import Draws
-from rcs.envs.randomiser import Randomiser
+from rcs.envs.episode_random import EpisodeRandom
+from rcs.envs.variation.randomiser import Randomiser
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay
@@ -197,7 +197,7 @@ def test_a_larger_toy_is_the_one_that_mujoco_would_make(monkeypatch: pytest.Monk
     expected = compiled_toy(monkeypatch, 1.2)
     world = World(compiled_toy(monkeypatch, 1.0))
     nominal = world.model.flex_node0.copy()
-    Randomiser(world, Ranges.off(object_size=(1.2, 1.2)), objects=["toy"]).begin(Draws(0, 0))
+    Randomiser(world, Ranges.off(object_size=(1.2, 1.2)), objects=["toy"]).begin(EpisodeRandom(0, 0))
     assert not np.allclose(world.model.flex_node0, nominal)
     # Nodes do not turn, so that their inertia counts for nothing; nor does the middle of the carrier, without a mass.
     ignored = {"body_inertia", "body_ipos"}

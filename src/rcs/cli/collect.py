@@ -14,7 +14,7 @@ from rcs_data.view import write_report
 from rich.console import Console
 
 from rcs.cli.runs import RunOptions, interruptible, results_table, show
-from rcs.envs.approach import SPEED
+from rcs.envs.step.approach import SPEED
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.site import Site
 from rcs.rollout.collect import Collection, Progress, collect

@@ -9,8 +9,8 @@ from pathlib import Path
 from rcs_data.cli.console import plain_console
 
 from rcs.devices import lookup
-from rcs.envs.approach import SPEED
 from rcs.envs.setup import Setup
+from rcs.envs.step.approach import SPEED
 from rcs.errors import InvalidSetup, Refused
 from rcs.hardware.site import Site
 from rcs.setups.lab import lab_of

@@ -11,29 +11,29 @@ from gymnasium.vector import AutoresetMode
 
 from rcs.devices import Gripper
 from rcs.envs import spaces as keys
-from rcs.envs.camera_port import CameraPort, FreshFrames
-from rcs.envs.chain import Chain
-from rcs.envs.clock import Clock
 from rcs.envs.control_layers import layers_of, limit_step
 from rcs.envs.env import Env
-from rcs.envs.follow_port import FollowPort
 from rcs.envs.layers import (
     LateActions,
     Layer,
     PointClouds,
     WristCamera,
 )
-from rcs.envs.load_ports import PrivilegedPort, SimContactPort, SimLoadPort
 from rcs.envs.native import native_space, require_native
 from rcs.envs.parts import Parts
-from rcs.envs.pixel_port import PixelPort
-from rcs.envs.ports import ArmPort, GripperPort, HandPort, Port, is_streamed
-from rcs.envs.randomiser import Randomiser
-from rcs.envs.scenario import Scenario
+from rcs.envs.ports.camera import CameraPort, FreshFrames
+from rcs.envs.ports.follow import FollowPort
+from rcs.envs.ports.loads import PrivilegedPort, SimContactPort, SimLoadPort
+from rcs.envs.ports.pixels import PixelPort
+from rcs.envs.ports.port import ArmPort, GripperPort, HandPort, Port, is_streamed
+from rcs.envs.ports.simulated import SimArmPort, SimCameraPort, SimGripperPort, SimHandPort, SimTactilePort
 from rcs.envs.setup import Setup
-from rcs.envs.sim_ports import SimArmPort, SimCameraPort, SimGripperPort, SimHandPort, SimTactilePort
-from rcs.envs.stack import NAMELESS, Stack
 from rcs.envs.start import base_in_scene
+from rcs.envs.step.chain import Chain
+from rcs.envs.step.clock import Clock
+from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.stack import NAMELESS, Stack
+from rcs.envs.variation.randomiser import Randomiser
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of

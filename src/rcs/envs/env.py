@@ -10,19 +10,19 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.approach import Approach
-from rcs.envs.clock import Clock
-from rcs.envs.draws import SEED_LIMIT, check_seed
-from rcs.envs.engine import DIVERGED, FAULT, Approaches, Engine
+from rcs.envs.episode_random import SEED_LIMIT, check_seed
 from rcs.envs.html import to_html
 from rcs.envs.limits import Limits, limits_of
-from rcs.envs.observers import Observer
-from rcs.envs.scenario import Scenario
+from rcs.envs.observer import Observer
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import JOINTS, Observation
-from rcs.envs.stack import Stack
 from rcs.envs.start import Start, check_start, check_state
-from rcs.envs.state import EnvState, read_state, write_state
+from rcs.envs.step.approach import Approach
+from rcs.envs.step.clock import Clock
+from rcs.envs.step.engine import DIVERGED, FAULT, Approaches, Engine
+from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.stack import Stack
+from rcs.envs.step.state import EnvState, read_state, write_state
 from rcs.errors import InvalidSetup, WrongOrder, require_fields
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.viewer import Picture

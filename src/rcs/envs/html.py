@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from rcs.envs.scenario import Scenario
 from rcs.envs.setup import Setup
+from rcs.envs.step.scenario import Scenario
 from rcs.errors import MissingDependency
 from rcs.sim.viewer import Picture
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.layers.limit_step import LimitStep
-from rcs.envs.ports import ArmPort
-from rcs.envs.stack import NAMELESS, Stack
+from rcs.envs.ports.port import ArmPort
+from rcs.envs.step.stack import NAMELESS, Stack
 from rcs.sim.scene import RobotPlacement
 
 

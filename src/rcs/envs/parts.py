@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from rcs.envs.clutter import Clutter
-from rcs.envs.gate import Gate
+from rcs.envs.gates.gate import Gate
 from rcs.envs.layers import Layer
-from rcs.envs.observers import Observer
+from rcs.envs.observer import Observer
 from rcs.envs.setup import Setup
 from rcs.envs.task import Task
+from rcs.envs.variation.clutter import Clutter
 from rcs.hardware.site import Devices
 from rcs.sim.scene import CameraPlacement, RobotPlacement
 from rcs.sim.tactile_mounts import TactilePlacement

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rcs.errors import InvalidSetup
 
 if TYPE_CHECKING:  # labs have an `Area`, and `rcs list` shows them without the simulator
-    from rcs.envs.draws import Draws
+    from rcs.envs.episode_random import EpisodeRandom
     from rcs.envs.layers import Where
     from rcs.sim.robot import SimRobot
     from rcs.sim.scene import RobotPlacement, Scene
@@ -51,20 +51,20 @@ class Area:
             raise InvalidSetup("This lab has no large area; set `large_size` of its Area, or use area='lab'.")
         return dataclasses.replace(self, center=self.large_center or self.center, size=self.large_size)
 
-    def draw_place(self, draws: Draws, max_yaw: float = np.pi) -> NDArray[np.float64]:
+    def draw_place(self, random: EpisodeRandom, max_yaw: float = np.pi) -> NDArray[np.float64]:
         """Return random x, y in the scene [m] and a yaw of up to `max_yaw` to either side [rad], (*leading, 3)."""
         half, center = np.array(self.size) / 2, np.array(self.center)
-        return draws.uniform(np.append(center - half, -max_yaw), np.append(center + half, max_yaw))
+        return random.uniform(np.append(center - half, -max_yaw), np.append(center + half, max_yaw))
 
-    def draw_apart(self, draws: Draws, place: NDArray[np.float64], distance: float) -> NDArray[np.float64]:
+    def draw_apart(self, random: EpisodeRandom, place: NDArray[np.float64], distance: float) -> NDArray[np.float64]:
         """Return another random place and yaw like `draw_place`, (*leading, 3).
 
         Args:
-            draws: Random numbers.
+            random: Random numbers.
             place: The place to keep away from: x, y [m] first, (*leading, 3).
             distance: Least distance from it [m]; where none of `TRIES` draws has it, the farthest counts.
         """
-        tries = np.stack([self.draw_place(draws) for _ in range(TRIES)], axis=-2)
+        tries = np.stack([self.draw_place(random) for _ in range(TRIES)], axis=-2)
         offset = tries - place[..., None, :]
         apart = np.sqrt(offset[..., 0] * offset[..., 0] + offset[..., 1] * offset[..., 1])
         best = np.argmax(np.minimum(apart, distance), axis=-1)  # the first that is far enough, or the farthest
@@ -192,11 +192,11 @@ class Task(ABC):
         """Look up what the task reads and writes, once the scene is compiled."""
 
     @abstractmethod
-    def reset(self, draws: Draws, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: Where) -> None:
         """Write the start of an episode into the state of some copies.
 
         Args:
-            draws: Random numbers for exactly these copies.
+            random: Random numbers for exactly these copies.
             where: The copies; `...` for all, or for the only one.
         """
 

@@ -11,15 +11,15 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from rcs.envs.clock import Clock
-from rcs.envs.draws import check_seed
-from rcs.envs.engine import Engine
-from rcs.envs.observers import Observer
-from rcs.envs.scenario import Scenario
+from rcs.envs.episode_random import check_seed
+from rcs.envs.observer import Observer
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import FRAMES, Observation
-from rcs.envs.stack import Stack
-from rcs.envs.state import EnvState, read_state, write_state
+from rcs.envs.step.clock import Clock
+from rcs.envs.step.engine import Engine
+from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.stack import Stack
+from rcs.envs.step.state import EnvState, read_state, write_state
 from rcs.errors import InvalidSetup, WrongOrder
 from rcs.sim.scene import RobotPlacement
 

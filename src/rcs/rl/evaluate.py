@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from rcs.agents.choice import is_path
-from rcs.envs.stack import for_all
+from rcs.envs.step.stack import for_all
 from rcs.errors import InvalidSetup
 from rcs.rl.policy import PolicyAgent
 from rcs.rollout.batch import run_batch

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rcs.agents import Agent
-from rcs.envs.stack import for_all
+from rcs.envs.step.stack import for_all
 from rcs.errors import MissingDependency
 from rcs.rl.checkpoint import Score
 from rcs.rl.training import Training

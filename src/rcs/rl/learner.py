@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rcs.envs.state import EnvState
+from rcs.envs.step.state import EnvState
 from rcs.errors import CorruptCheckpoint
 from rcs.rl.algorithms import Rlpd, Sac
 from rcs.rl.networks import make_model

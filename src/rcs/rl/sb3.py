@@ -11,8 +11,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from rcs.envs.engine import DIVERGED
 from rcs.envs.spaces import Observation
+from rcs.envs.step.engine import DIVERGED
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, MissingDependency, WrongOrder
 from rcs.rl.flat import Flat

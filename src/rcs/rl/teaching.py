@@ -15,7 +15,7 @@ from rcs.agents import Agent
 from rcs.devices import lookup
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import FINGER_CONTACTS, IS_GRASPED, PRIVILEGED
-from rcs.envs.state import EnvState
+from rcs.envs.step.state import EnvState
 from rcs.envs.vector import VecEnv
 from rcs.errors import CorruptCheckpoint, InvalidSetup
 from rcs.rl.algorithms import Dagger

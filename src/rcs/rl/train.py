@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rcs.envs.observers.recorder import versions
-from rcs.envs.stack import for_all
+from rcs.envs.step.stack import for_all
 from rcs.errors import CorruptCheckpoint, InvalidSetup
 from rcs.rl.checkpoint import (
     REPLAY,

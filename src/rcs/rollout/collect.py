@@ -22,13 +22,13 @@ from rcs_data.layout import EPISODES_FOLDER
 from rcs.agents import agent_for
 from rcs.agents.choice import is_path
 from rcs.devices import lookup
-from rcs.envs.approach import SPEED
-from rcs.envs.engine import FAULT
 from rcs.envs.env import Env
 from rcs.envs.observers.record import recorder_of
 from rcs.envs.observers.recorder import OBJECTS, Recorder, dataset_info, require_recordable
 from rcs.envs.setup import Setup
-from rcs.envs.stack import for_all
+from rcs.envs.step.approach import SPEED
+from rcs.envs.step.engine import FAULT
+from rcs.envs.step.stack import for_all
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.cluster import LOCAL
 from rcs.rollout.episode import EpisodeResult, run_episode

@@ -18,7 +18,7 @@ from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder, versions
 from rcs.envs.setup import Setup
-from rcs.envs.stack import for_all
+from rcs.envs.step.stack import for_all
 from rcs.errors import InvalidSetup
 from rcs.rollout.cluster import LOCAL
 from rcs.rollout.collect import Attempt, episode_id, seed_of

@@ -11,7 +11,7 @@ from rcs_data.diversity import diversity_of_ways
 
 from rcs.agents import agent_for
 from rcs.devices import lookup
-from rcs.envs.observers import Observer, Transition
+from rcs.envs.observer import Observer, Transition
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import JOINTS
 from rcs.rollout.collect import Collection

@@ -13,12 +13,12 @@ from rcs_data.feature import Colour
 from rcs_data.info import MERGED
 
 from rcs.envs.assemble import assemble
-from rcs.envs.draws import Draws
 from rcs.envs.env import Env
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.observers.recorder import dataset_info
 from rcs.envs.parts import Parts
-from rcs.envs.randomiser import Randomiser
 from rcs.envs.setup import Setup
+from rcs.envs.variation.randomiser import Randomiser
 from rcs.errors import InvalidSetup
 from rcs.setups.make import resolve
 from rcs.sim.camera import Quality
@@ -173,9 +173,9 @@ class NewLooks(Randomiser):
         self.episode_id = ""
         """The id of the next episode."""
 
-    def begin(self, draws: Draws, copies: Copies = None) -> None:
+    def begin(self, draws: EpisodeRandom, copies: Copies = None) -> None:
         """Draw and write the looks of an episode."""
-        super().begin(Draws(self._seed, zlib.crc32(self.episode_id.encode())), copies)
+        super().begin(EpisodeRandom(self._seed, zlib.crc32(self.episode_id.encode())), copies)
 
 
 def varied(env: Env) -> dict[str, Any]:

@@ -15,13 +15,13 @@ import numpy as np
 from rcs.agents import Agent
 from rcs.agents.agent import Event
 from rcs.agents.script import Script
-from rcs.envs.approach import SPEED
 from rcs.envs.assemble import compose
-from rcs.envs.draws import Draws
 from rcs.envs.env import Env
-from rcs.envs.scenario import Scenario
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import GRIPPER, JOINTS, Action, Observation
+from rcs.envs.step.approach import SPEED
+from rcs.envs.step.scenario import Scenario
 from rcs.errors import DeviceFault
 from rcs.rollout.episode import EpisodeResult, run_episode
 from rcs.rollout.operator import Operator
@@ -61,7 +61,7 @@ class RealEpisodes:
             Refused: Nobody agrees that the arms move.
             DeviceFault: A device is in its fault state, and nobody agrees that it leaves it.
         """
-        self._scene.begin(Draws(np.asarray(seed), np.asarray(0)))
+        self._scene.begin(EpisodeRandom(np.asarray(seed), np.asarray(0)))
         poses = self._scene.object_poses()
         self.objects = {name: pose.tolist() for name, pose in poses.items()}
         self._agent.known = self._scene.describe()

@@ -11,10 +11,10 @@ from rcs_data import Dataset, DatasetInfo, EpisodeRecord, Feature
 from rcs_data.flags import FrameFlag, flags_key, time_key
 
 from rcs.envs import spaces as keys
-from rcs.envs.draws import Draws
 from rcs.envs.env import Env
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.observers.recorder import OBSERVATION, TIME_MONOTONIC, versions
-from rcs.envs.sim_ports import SimCameraPort
+from rcs.envs.ports.simulated import SimCameraPort
 from rcs.errors import InvalidSetup
 from rcs.rollout.derive import Derivation, Workplace
 from rcs.rollout.look import Stage, physics_of, require_states, setup_of
@@ -67,7 +67,7 @@ class Rerendering(Derivation):
         if episode.seed is None and physics_of(workplace.dataset, trust=self.trust).randomisation is not None:
             raise InvalidSetup(f"Episode {episode.id!r} was randomised without a seed, so its looks are unknown.")
         states = episode.sim_state()
-        scenario.begin(Draws(episode.seed or 0, 0))
+        scenario.begin(EpisodeRandom(episode.seed or 0, 0))
         rows, fresh = _RecordedRows(episode, info), _FreshFrames(_cameras_of(workplace.env), info)
         with workplace.writer.episode(episode.id, seed=episode.seed, instruction=episode.instruction) as made:
             for i, state in enumerate(workplace.transfer(states)):

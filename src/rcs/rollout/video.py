@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.env import Env
-from rcs.envs.observers import Observer, Transition
+from rcs.envs.observer import Observer, Transition
 from rcs.errors import InvalidSetup
 from rcs.sim.camera import Quality
 from rcs.sim.viewer import Picture

@@ -14,9 +14,9 @@ from gymnasium.vector import AutoresetMode
 from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
 from rcs.envs.assemble import assemble, assemble_vec
 from rcs.envs.env import Env
-from rcs.envs.gate import Gate
+from rcs.envs.gates.gate import Gate
 from rcs.envs.layers import Layer
-from rcs.envs.observers import Observer
+from rcs.envs.observer import Observer
 from rcs.envs.parts import Parts
 from rcs.envs.setup import Options, Setup
 from rcs.envs.task import Task

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.envs.task import Area
 from rcs.sim.model_rows import ModelRows
@@ -80,12 +80,12 @@ class Distractors:
         self._colours = ModelRows(world, "geom_rgba", [world.model.geom(name).id for name in self.names])
 
     def reset(
-        self, draws: Draws, where: Where, area: Area, taken: Iterable[Taken] = (), around: Taken | None = None
+        self, random: EpisodeRandom, where: Where, area: Area, taken: Iterable[Taken] = (), around: Taken | None = None
     ) -> None:
         """Draw the distractors of the next episodes of some copies.
 
         Args:
-            draws: Random numbers for exactly these copies; they are not advanced.
+            random: Random numbers for exactly these copies; they are not advanced.
             where: The copies; `...` for all, or for the only one.
             area: Where distractors lie, with their middles.
             taken: What else lies on the table, of exactly these copies.
@@ -93,7 +93,7 @@ class Distractors:
         """
         if not self.names:
             return
-        streams, count = draws.branch("distractors"), len(self.names)
+        streams, count = random.branch("distractors"), len(self.names)
         half = self._scale * streams.uniform(np.tile(HALF_LOW, (count, 1)), np.tile(HALF_HIGH, (count, 1)))
         half[..., 1::2, 1] = half[..., 1::2, 0]  # cylinders are round
         self._sizes.write(half, where, DENSITY)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.envs.task import Judgement, Task
 from rcs.sim.robot import SimRobot
@@ -15,7 +15,7 @@ class Free(Task):
     def bind(self, world: World, robots: list[SimRobot]) -> None:
         """Look up nothing."""
 
-    def reset(self, draws: Draws, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: Where) -> None:
         """Do nothing: the robot starts at home."""
 
     def evaluate(self) -> Judgement:

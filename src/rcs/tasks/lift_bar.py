@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.envs.task import Judgement, Task
 from rcs.sim.robot import SimRobot
@@ -81,11 +81,11 @@ class LiftBar(Task):
         # The first robot stands on the left and takes the end at larger y.
         self._ends = np.stack([self._grasp_offset, -self._grasp_offset], axis=-1)
 
-    def reset(self, draws: Draws, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: Where) -> None:
         """Put the bar at a random place, turned slightly."""
         self._measure()
         height = (self._table + self._half_edges[..., 2])[where]
-        self._body.place(upright(self.area.draw_place(draws, MAX_YAW), height), where)
+        self._body.place(upright(self.area.draw_place(random, MAX_YAW), height), where)
         self._held.reset(where)
         self._grip.reset()
 

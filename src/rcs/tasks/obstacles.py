@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import FLOOR_HEIGHT, Scene
@@ -68,11 +68,11 @@ class Obstacles:
         self._quat = world.core.component(state.mjSTATE_MOCAP_QUAT.value).reshape(*world.leading, -1, 4)
         self._ids = [int(world.model.body(name).mocapid[0]) for name in self.names]
 
-    def reset(self, draws: Draws, where: Where, middle: NDArray[np.float64]) -> list[Taken]:
+    def reset(self, random: EpisodeRandom, where: Where, middle: NDArray[np.float64]) -> list[Taken]:
         """Draw the obstacles of the next episodes of some copies.
 
         Args:
-            draws: Random numbers for exactly these copies; they are not advanced.
+            random: Random numbers for exactly these copies; they are not advanced.
             where: The copies; `...` for all, or for the only one.
             middle: The object in the scene, x, y of exactly these copies, (*leading, 2) [m].
 
@@ -81,7 +81,7 @@ class Obstacles:
         """
         if not self.names:
             return []
-        streams = draws.branch("obstacles")
+        streams = random.branch("obstacles")
         half = self._scale * HALF_HEIGHT
         height = table_height(self._world)[where]
         taken: list[Taken] = []

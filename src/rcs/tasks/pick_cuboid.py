@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.envs.task import Area, Judgement, Task
 from rcs.errors import InvalidSetup
@@ -144,30 +144,30 @@ class PickCuboid(Task):
         # The pose for agents is in the base frame, which may be anywhere; the height is in the scene.
         self._in_scene = world.core.read_body_pose(model.body(CUBOID).id, 0)
 
-    def reset(self, draws: Draws, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: Where) -> None:
         """Put the cuboid at a random place and yaw."""
         if self._sizes is not None:
-            factor = draws.branch("edges").uniform([EDGE_FACTORS[0]] * 3, [EDGE_FACTORS[1]] * 3)
+            factor = random.branch("edges").uniform([EDGE_FACTORS[0]] * 3, [EDGE_FACTORS[1]] * 3)
             self._sizes.write(0.5 * factor[..., None, :] * self.edges, where)
         self._half_edges = self._world.field("geom_size")[..., self._geom, :].copy()  # varies between episodes
         self._table = table_height(self._world).copy()
-        pose = upright(self.area.draw_place(draws), self._table[where])
+        pose = upright(self.area.draw_place(random), self._table[where])
         middle = pose[..., :2].copy()
-        pose = compose(pose, self._lying(draws))
+        pose = compose(pose, self._lying(random))
         pose[..., 2] += self._table[where] - lowest(pose, self._half_edges[where])
         self._body.place(pose, where)
         scale = self.area.object_scale
-        taken = [(middle, scale * FREE), *self._obstacles.reset(draws, where, middle)]
+        taken = [(middle, scale * FREE), *self._obstacles.reset(random, where, middle)]
         around = (middle, np.full(middle.shape[:-1], scale * NEAR))
-        self._distractors.reset(draws, where, self.area, taken, around=around)
+        self._distractors.reset(random, where, self.area, taken, around=around)
         self._held.reset(where)
         self._grip.reset()
 
-    def _lying(self, draws: Draws) -> NDArray[np.float64]:
+    def _lying(self, random: EpisodeRandom) -> NDArray[np.float64]:
         """Return how the cuboid lies, as poses (*leading, 7) without a translation."""
-        pose = np.zeros((*draws.leading, 7))
+        pose = np.zeros((*random.leading, 7))
         if self.options.pose == "any":
-            choice = np.floor(draws.branch("pose").uniform(0.0, len(POSES))).astype(np.intp)
+            choice = np.floor(random.branch("pose").uniform(0.0, len(POSES))).astype(np.intp)
             pose[..., 3:] = np.array(list(POSES.values()))[choice]
         else:
             pose[..., 3:] = POSES[self.options.pose]

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.envs.task import Judgement, Task
 from rcs.kinematics import kinematics_of
@@ -134,10 +134,10 @@ class PickToy(Task):
         self._weight[where] = len(self._bodies) * mass * self._gravity
         return lying
 
-    def reset(self, draws: Draws, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: Where) -> None:
         """Lay the toy down at a random place and yaw, as it lies under its own weight."""
         lying = self._measure(where)
-        place = self.area.draw_place(draws)
+        place = self.area.draw_place(random)
         self._lay(lying, place[..., :2], place[..., 2:], where)
         self._held.reset(where)
 

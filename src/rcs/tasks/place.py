@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.envs.task import Judgement, Task
 from rcs.sim.robot import SimRobot
@@ -89,13 +89,13 @@ class Place(Task):
         self._mark = MocapBody(world, MARK)
         self._geom = int(world.model.geom(CUBOID).id)
 
-    def reset(self, draws: Draws, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: Where) -> None:
         """Put the cuboid and the mark at random places, the cuboid at any yaw."""
         height = self._world.field("geom_size")[..., self._geom, 2]  # varies between episodes
         table = table_height(self._world)[where]
-        place = self.area.draw_place(draws)
+        place = self.area.draw_place(random)
         self._body.place(upright(place, table + height[where]), where)
-        other = self.area.draw_apart(draws, place, APART * self.area.object_scale)
+        other = self.area.draw_apart(random, place, APART * self.area.object_scale)
         other[..., 2] = 0.0  # it is round
         self._mark.place(upright(other, table), where)
         self._delivery.reset(where, height)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.envs.task import Area, Judgement, Task
 from rcs.errors import InvalidSetup
@@ -147,10 +147,10 @@ class Push(Task):
         self._half_edges = np.zeros((*world.leading, 3))
         self._table = table_height(world)
 
-    def reset(self, draws: Draws, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: Where) -> None:
         """Put the block at a random place and yaw, and the goal somewhere else."""
-        place = draws.uniform(np.append(self._low, -np.pi), np.append(self._high, np.pi))
-        goals = draws.uniform(np.tile(self._low, (TRIES, 1)), np.tile(self._high, (TRIES, 1)))
+        place = random.uniform(np.append(self._low, -np.pi), np.append(self._high, np.pi))
+        goals = random.uniform(np.tile(self._low, (TRIES, 1)), np.tile(self._high, (TRIES, 1)))
         # If all of them are too near: the corner that is farthest away.
         middle = (self._low + self._high) / 2
         goals[..., -1, :] = np.where(place[..., :2] < middle, self._high, self._low)

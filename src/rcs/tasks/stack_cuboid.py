@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.envs.task import Judgement, Task
 from rcs.sim.robot import SimRobot
@@ -74,12 +74,12 @@ class StackCuboid(Task):
         self._bodies = {name: FreeBody(world, name) for name in NAMES}
         self._geoms = [int(world.model.geom(name).id) for name in NAMES]
 
-    def reset(self, draws: Draws, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: Where) -> None:
         """Put both cuboids at random places and yaws, apart from each other."""
         half_heights = self._world.field("geom_size")[..., self._geoms, 2]  # they vary between episodes
         heights = table_height(self._world)[..., None] + half_heights
-        place = self.area.draw_place(draws)
-        places = place, self.area.draw_apart(draws, place, APART * self.area.object_scale)
+        place = self.area.draw_place(random)
+        places = place, self.area.draw_apart(random, place, APART * self.area.object_scale)
         for i, name in enumerate(NAMES):
             self._bodies[name].place(upright(places[i], heights[..., i][where]), where)
         self._delivery.reset(where, half_heights[..., 0] + half_heights[..., 1])

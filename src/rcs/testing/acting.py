@@ -9,10 +9,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.chain import Chain
 from rcs.envs.env import Env
 from rcs.envs.layers import Relative, TwistControl
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS, TQUAT, TWIST
+from rcs.envs.step.chain import Chain
 
 Action = dict[str, Any]
 

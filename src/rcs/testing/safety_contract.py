@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.env import Env
 from rcs.envs.layers import Layer, Relative
-from rcs.envs.observers import Observer, Transition
+from rcs.envs.observer import Observer, Transition
 from rcs.envs.spaces import JOINTS, TQUAT
 from rcs.errors import InvalidAction, WrongOrder
 from rcs.testing.acting import chains_of, go, joints_of, lift, stay

@@ -20,9 +20,9 @@ import numpy as np
 
 from rcs.devices import lookup
 from rcs.envs.assemble import compose
-from rcs.envs.draws import Draws, check_seed
-from rcs.envs.scenario import Scenario
+from rcs.envs.episode_random import EpisodeRandom, check_seed
 from rcs.envs.setup import Setup
+from rcs.envs.step.scenario import Scenario
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.setups.lab import lab_of
 from rcs.setups.make import resolve
@@ -130,7 +130,7 @@ class VirtualWorld:
         Raises:
             InvalidSetup: The seed is none.
         """
-        draws = Draws(np.asarray(check_seed(seed)), np.asarray(episode))
+        random = EpisodeRandom(np.asarray(check_seed(seed)), np.asarray(episode))
         kept = [
             (array, at, array[at].copy())
             for robot in self.robots.values()
@@ -142,7 +142,7 @@ class VirtualWorld:
             )
         ]
         controls = self.world.ctrl.copy()
-        self._scenario.begin(draws)
+        self._scenario.begin(random)
         for array, at, values in kept:
             array[at] = values
         self.world.ctrl[...] = controls

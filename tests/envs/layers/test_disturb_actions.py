@@ -8,7 +8,7 @@ from gymnasium import spaces
 
 import rcs
 from rcs.envs.layers import DisturbActions
-from rcs.envs.observers import Observer, Transition
+from rcs.envs.observer import Observer, Transition
 from rcs.errors import InvalidSetup
 
 OPTIONS: Any = {"task": "Free", "control": "joints", "frequency": 10.0, "layers": [DisturbActions]}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.envs.draws import Draws
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import LateActions
 from rcs.sim.randomisation import Randomisation
 
@@ -28,7 +28,7 @@ def run(layer: LateActions, actions: np.ndarray, start: np.ndarray) -> tuple[np.
 
 def test_a_late_step_sends_the_action_before_once_more_and_others_their_own() -> None:
     layer = LateActions(0.3)
-    layer.begin(Draws(3, 0))
+    layer.begin(EpisodeRandom(3, 0))
     actions = np.arange(1.0, 201.0)[:, None]
     sent, late = run(layer, actions, np.zeros(1))
     before = np.concatenate([np.zeros((1, 1)), actions[:-1]])
@@ -39,11 +39,11 @@ def test_a_late_step_sends_the_action_before_once_more_and_others_their_own() ->
 def test_the_same_episode_is_late_in_the_same_steps_alone_and_among_copies() -> None:
     actions = np.random.default_rng(0).normal(size=(50, 4, 1))
     many = LateActions(0.2, (4,))
-    many.begin(Draws(np.arange(4), np.zeros(4)))
+    many.begin(EpisodeRandom(np.arange(4), np.zeros(4)))
     sent, late = run(many, actions, np.zeros((4, 1)))
     for copy in range(4):
         one = LateActions(0.2)
-        one.begin(Draws(copy, 0))
+        one.begin(EpisodeRandom(copy, 0))
         alone, own = run(one, actions[:, copy], np.zeros(1))
         np.testing.assert_array_equal(alone, sent[:, copy])
         np.testing.assert_array_equal(own, late[:, copy])
@@ -52,7 +52,7 @@ def test_the_same_episode_is_late_in_the_same_steps_alone_and_among_copies() -> 
 
 def test_a_target_that_something_else_has_set_is_where_the_layer_goes_on() -> None:
     layer = LateActions(0.5)
-    layer.begin(Draws(0, 0))
+    layer.begin(EpisodeRandom(0, 0))
     layer.reset({"joints": np.zeros(1)})
     layer.map_action({"joints": np.ones(1)})
     held = {"joints": np.full(1, 7.0)}

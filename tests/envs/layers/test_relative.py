@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.envs.chain import Chain
 from rcs.envs.layers import LimitStep, Relative
 from rcs.envs.layers.relative import shift
-from rcs.envs.ports import Port
+from rcs.envs.ports.port import Port
 from rcs.envs.spaces import JOINTS, TQUAT, joints_space, tquat_space
+from rcs.envs.step.chain import Chain
 from rcs.errors import InvalidAction
 from rcs.kinematics import IkStatus, kinematics_of
 from rcs.spatial import Pose, compose, distance

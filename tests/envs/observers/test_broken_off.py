@@ -12,7 +12,7 @@ import pytest
 from rcs_data import Dataset, DatasetWriter, check
 
 import rcs
-from rcs.envs.observers import Observer, Transition
+from rcs.envs.observer import Observer, Transition
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.observers.takes import Takes
 from rcs.errors import DatasetError

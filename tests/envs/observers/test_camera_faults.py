@@ -13,7 +13,7 @@ from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeWriter, Feature
 from rcs_data.background import BackgroundEpisode
 from rcs_data.flags import FrameFlag
 
-from rcs.envs.observers.observer import Transition
+from rcs.envs.observer import Transition
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import DeviceFault, InvalidSetup
 

@@ -10,7 +10,7 @@ from rcs_data import DatasetInfo, DatasetWriter, Feature
 from rcs_data.flags import FrameFlag
 
 import rcs
-from rcs.envs.observers.observer import Transition
+from rcs.envs.observer import Transition
 from rcs.envs.observers.recorder import Recorder, dataset_info
 
 RGB = "observation/frames/wrist/rgb"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents import Phase, Plan, Script, ScriptedArm
-from rcs.envs import Draws, Judgement, Task, Where
+from rcs.envs import EpisodeRandom, Judgement, Task, Where
 from rcs.sim import Scene, SimRobot, World
 from rcs.tasks import FreeBody, add_box, upright
 
@@ -53,10 +53,10 @@ class PushToLine(Task):
         self._body = FreeBody(world, BLOCK)
         self._pose = world.read_pose(BLOCK)
 
-    def reset(self, draws: Draws, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: Where) -> None:
         """Lay the block down before the line. Arrays have a row per copy that starts, or no such axis for one alone."""
         x, y = self.area.center
-        place = draws.uniform([x - 0.05, y - 0.10, -0.2], [x + 0.03, y + 0.10, 0.2])
+        place = random.uniform([x - 0.05, y - 0.10, -0.2], [x + 0.03, y + 0.10, 0.2])
         self._body.place(upright(place, np.full(place.shape[:-1], EDGE / 2)), where)
 
     def evaluate(self) -> Judgement:

@@ -12,7 +12,7 @@ from rcs.envs.spaces import GRIPPER, HAND, JOINTS, Action, Observation
 from rcs.sim.splitmix import GAMMA, mix, units
 
 if TYPE_CHECKING:
-    from rcs.envs.draws import Draws
+    from rcs.envs.episode_random import EpisodeRandom
     from rcs.sim.world import Copies
 
 
@@ -40,15 +40,15 @@ class LateActions(Layer):
         self._mapped: tuple[Action, Action, NDArray[np.bool_]] | None = None
         """Of the last `map_action`: what was asked, what was sent, and which copies are late."""
 
-    def begin(self, draws: Draws, copies: Copies = None) -> None:
+    def begin(self, random: EpisodeRandom, copies: Copies = None) -> None:
         """Take the random numbers of some copies' next episodes.
 
         Args:
-            draws: Random numbers for exactly these copies; they are not advanced.
+            random: Random numbers for exactly these copies; they are not advanced.
             copies: Which copies; None for all.
         """
         keys = np.array(self._keys)
-        keys[... if copies is None else copies] = draws.branch("late_actions").bits()
+        keys[... if copies is None else copies] = random.branch("late_actions").bits()
         self._keys = keys
 
     def reset(self, observation: Observation, where: Where = everywhere) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rcs.calibration import Board, detect
 from rcs.calibration.drift import Drift, reprojection_errors
-from rcs.envs.observers.observer import Observer, Transition
+from rcs.envs.observer import Observer, Transition
 from rcs.envs.spaces import DISTORTION, EXTRINSICS, FRAMES, INTRINSICS, RGB, Observation
 from rcs.spatial import Intrinsics
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from rcs.envs.observers.observer import Observer, Transition
+from rcs.envs.observer import Observer, Transition
 from rcs.errors import InvalidSetup, WrongOrder
 
 _log = logging.getLogger(__name__)

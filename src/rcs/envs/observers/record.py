@@ -13,7 +13,7 @@ from rcs_data.feature import Colour
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.observers.takes import Takes
-from rcs.envs.stack import for_all
+from rcs.envs.step.stack import for_all
 from rcs.envs.vector import VecEnv
 
 

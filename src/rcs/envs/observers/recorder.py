@@ -19,8 +19,8 @@ from rcs_data.flags import FrameFlag, camera_of, flags_key
 
 from rcs.envs import spaces as keys
 from rcs.envs.env import Env
+from rcs.envs.observer import Observer, Transition
 from rcs.envs.observers.joint_limits import with_limits
-from rcs.envs.observers.observer import Observer, Transition
 from rcs.envs.setup import Setup
 from rcs.envs.vector import VecEnv
 from rcs.errors import DeviceFault, InvalidSetup, WrongOrder

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcs.envs.observers.observer import Observer, Transition
+from rcs.envs.observer import Observer, Transition
 from rcs.sim.viewer import Viewer
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.env import Env
+from rcs.envs.observer import Observer, Transition
 from rcs.envs.observers.in_background import InBackground
-from rcs.envs.observers.observer import Observer, Transition
 from rcs.envs.observers.tracking import Tracking
 from rcs.envs.spaces import JOINTS, Arrays, Observation
 from rcs.errors import InvalidSetup

@@ -12,10 +12,10 @@ from rcs_data.closing import Closing
 from rcs.agents import Agent
 from rcs.agents.choice import agent_for
 from rcs.devices import lookup
-from rcs.envs.engine import DIVERGED, FAULT
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import FRAMES, RGB, Action, Observation
+from rcs.envs.step.engine import DIVERGED, FAULT
 from rcs.errors import DeviceFault, RcsError
 from rcs.rollout.interactive.guide import Guide
 from rcs.setups.make import make, resolve

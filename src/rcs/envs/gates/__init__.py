@@ -1,0 +1,1 @@
+"""Gates see the targets of all robots before any device does."""

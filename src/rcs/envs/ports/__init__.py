@@ -1,0 +1,1 @@
+"""Ports turn devices, simulated or real, into commands and observations."""

@@ -1,0 +1,1 @@
+"""One step of one environment or many copies: chains, stack, clock and engine."""

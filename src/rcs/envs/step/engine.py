@@ -1,0 +1,463 @@
+"""One step of an environment, for a single one and for a batch: commands, time, observation, judgement, observers.
+
+`Env` and `VecEnv` are its two faces. Arrays have the leading shape of the world, () or (copies,), and the same code
+serves both: `array[where] = value` is for all copies with `where = ...`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs._core import StepEnd
+from rcs.envs.episode_random import EpisodeRandom
+from rcs.envs.layers import Where
+from rcs.envs.spaces import Observation
+from rcs.envs.start import Start
+from rcs.envs.step.audience import Audience, Step, row
+from rcs.envs.step.clock import Clock
+from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.stack import Nested, Stack, copied, for_all
+from rcs.envs.step.turn import Turn
+from rcs.errors import DeviceFault, InvalidAction, Refused, WrongOrder
+from rcs.sim.world import Copies
+
+DIVERGED, FAULT = "diverged", "fault"
+"""What `info["end"]` says of a simulation that left the range of finite numbers, and of a device that failed, or of a
+simulated arm that collided."""
+
+_FAILED, _FAULT = StepEnd.failed.value, StepEnd.fault.value
+_ENDS = {end.value: end.name for end in StepEnd}
+END_NAMES = np.array([{**_ENDS, _FAILED: DIVERGED}.get(i, "") for i in range(1 + max(_ENDS))])
+"""What `info["end"]` says of a step, by the value of `StepEnd`."""
+
+
+Approaches = Callable[[Stack, Clock, Callable[[], bool]], None]
+"""Moves real robots slowly, unless the last argument says that they are told to hold."""
+
+
+class Engine:
+    """Makes steps. Whatever goes wrong from the first command on, all devices hold."""
+
+    def __init__(
+        self, stack: Stack, clock: Clock, scenario: Scenario | None = None, *, max_episode_steps: int | None = None
+    ) -> None:
+        """Put the parts together; nothing moves and nothing is connected before `start`.
+
+        Args:
+            stack: Ports, layers and gates.
+            clock: Lets time pass.
+            scenario: A simulated world with its task; None for real devices alone.
+            max_episode_steps: An episode is truncated after this many steps; None for no limit.
+        """
+        self.stack = stack
+        self.scenario = scenario
+        self.turn = Turn()
+        self.leading: tuple[int, ...] = () if scenario is None else scenario.world.leading
+        self.seeds = np.zeros(self.leading, np.int64)
+        self.episodes = np.full(self.leading, -1, np.int64)
+        """Number of the present episode since the seed was set."""
+        self.is_over: NDArray[np.bool_] = np.zeros(self.leading, np.bool_)
+        """Which copies' episodes are over."""
+        self.is_open = True
+        self.instruction = "" if scenario is None else scenario.task.instruction
+        self._clock = clock
+        self._max_episode_steps = max_episode_steps
+        self.audience = Audience(stack, clock, scenario)
+        """The observers."""
+        self._resources: list[Callable[[], None]] = [] if scenario is None else [scenario.world.close]
+        self._ends: NDArray[np.uint8] = clock.ends.reshape(self.leading)
+        self._steps: NDArray[np.int64] = np.zeros(self.leading, np.int64)
+        self._is_started = False
+        self._broken_off_by = ""
+        self._must_rebase = False
+        self._is_commanded = False
+        self._last_observation: Observation = {}
+
+    def close_too(self, close: Callable[[], None]) -> None:
+        """Have something closed after the observers."""
+        self._resources.insert(0, close)
+
+    # --- Episodes -----------------------------------------------------------------------------------------------------
+
+    def start(
+        self,
+        copies: Copies = None,
+        *,
+        state: NDArray[np.float64] | None = None,
+        start: Start | None = None,
+        approach: Approaches | None = None,
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start the next episode of some copies, or of all when an error broke the last ones off.
+
+        Args:
+            copies: Which; None for all.
+            state: Simulation state to start in, of a world of one copy.
+            start: Where robots and objects are at the start, of a world of one copy.
+            approach: Moves real robots to their start; None for leaving them where they are.
+        """
+        copies = copies if self._is_started else None
+        try:
+            self._begin(copies)
+            if self.scenario is not None and state is not None:
+                self.scenario.world.core.set_state(state)
+                self.scenario.world.refresh()
+            if self.scenario is not None and start is not None:
+                self.scenario.start_at(start)
+            self.stack.open()
+            self._require_no_fault()
+            self._clock.reset()
+            observation = self.observe_start(copies)
+            self._require_no_fault()  # what was measured may be too old
+            if approach is not None:
+                self._approach(approach)
+                self._clock.reset()
+                observation = self.observe_start(copies)
+            if self.scenario is not None:
+                self.scenario.judge_start(copies)
+        except BaseException as err:
+            self._break_off(err)
+            raise
+        self._must_rebase = False
+        self._is_started, self._broken_off_by = True, ""
+        info = {} if self.scenario is None else self.scenario.describe()
+        info.update(time=self._time(), instruction=np.full(self.leading, self.instruction, object))
+        info = info if self.leading else row(info, ...)
+        self.audience.tell_starts(observation, info, self._seeds_of(copies))
+        return observation, info
+
+    def _approach(self, approach: Approaches) -> None:
+        self._must_rebase = False
+        approach(self.stack, self._clock, lambda: self._must_rebase)
+
+    def restart(self, copies: NDArray[np.int32]) -> Observation:
+        """Start the next episode of some copies right after their last step."""
+        try:
+            self._begin(copies)
+            observation = self.observe_start(copies)
+            if self.scenario is not None:
+                self.scenario.judge_start(copies)
+                info = {**self.scenario.describe(), "time": self._time()}
+                self.audience.tell_starts(observation, info, self._seeds_of(copies))
+        except BaseException as err:
+            self._break_off(err)
+            raise
+        return observation
+
+    def _require_no_fault(self) -> None:
+        if faults := self.stack.faults():
+            raise DeviceFault(f"Devices are in their fault state: {_listed(faults)}. Clear it with env.recover().")
+
+    def _begin(self, copies: Copies) -> None:
+        where: Where = ... if copies is None else copies
+        self.episodes[where] += 1
+        # Of one copy they are numbers of NumPy's, which are faster than arrays.
+        self._steps, self.is_over = np.array(self._steps), np.array(self.is_over)
+        self._steps[where] = 0
+        self.is_over[where] = False
+        if self.scenario is not None:
+            self.scenario.begin(EpisodeRandom(self.seeds[where], self.episodes[where]), copies)
+
+    def observe_start(self, copies: Copies = None) -> Observation:
+        """Observe the start of the episodes of some copies."""
+        measured = self.stack.measure()
+        self.stack.reset(measured, ... if copies is None else copies)
+        self._last_observation = self.stack.lift(measured)
+        return self._last_observation
+
+    def require_running(self) -> None:
+        """Check that a step may be made.
+
+        Raises:
+            WrongOrder: There was no reset, an error broke the episode off, or the environment is closed.
+        """
+        if not self.is_open:
+            raise WrongOrder("step was called on a closed environment; make a new one.")
+        if self._broken_off_by:
+            raise WrongOrder(f"step was called after {self._broken_off_by} broke the episode off; call reset.")
+        if not self._is_started:
+            raise WrongOrder("step was called before the first reset; call reset.")
+
+    # --- A step -------------------------------------------------------------------------------------------------------
+
+    def step(self, action: Any, starting: NDArray[np.bool_] | None = None) -> Step:
+        """Command all devices, let one control step pass, observe, judge, and tell the observers.
+
+        Args:
+            action: One array per key of the action space.
+            starting: Copies that start their next episode in place of a step; None for none.
+
+        Raises:
+            InvalidAction: The action is not valid; no device saw it, unless a device refused it.
+        """
+        self._is_commanded = False
+        try:
+            return self._step(action, starting)
+        except BaseException as err:
+            if isinstance(err, InvalidAction) and not self._is_commanded:
+                raise  # nothing was sent, nothing is remembered
+            # Nothing goes on moving unwatched, also when a second Ctrl-C comes while the devices are told to hold.
+            try:
+                self._break_off(err)
+            except KeyboardInterrupt:
+                self._break_off(err)
+                raise
+            raise
+
+    def _step(self, action: Any, starting: NDArray[np.bool_] | None) -> Step:
+        measured: Nested | None = None
+        told: dict[str, Any] = {}
+        ended: dict[str, str] = {}
+        ids = None if starting is None else np.flatnonzero(starting).astype(np.int32)
+        try:
+            self.audience.after_hold = self._must_rebase
+            if self._must_rebase:
+                self._must_rebase = False  # before, for another thread may set it meanwhile
+                self.stack.rebase()
+            mapped = self.stack.map(action)
+            self._is_commanded = True
+            try:
+                self.stack.send(self.stack.admit(mapped))
+            except Refused as err:
+                told["refused"] = str(err)
+                ended = {"gate": str(err)} if err.ends_episode else ended
+                self.stack.stay()
+                self._must_rebase = True
+            self.audience.command_time = self._clock.now()
+            if self._must_rebase:
+                self.audience.after_hold = True
+                self.stack.hold()  # refused, or another thread has said so before the targets were sent
+            if ids is None or starting is None:
+                self._clock.advance(None, self._repeat)
+            else:
+                self._clock.advance(np.flatnonzero(~starting).astype(np.int32))
+                self._begin(ids)
+            measured = self.stack.measure()
+            faults = {**self.stack.faults(), **ended}
+        except DeviceFault as err:
+            faults = self.stack.faults() or {"device": str(err)}
+        if faults:
+            self._hold_in_fault(faults)
+            if measured is None:
+                return self._end_without_row(faults)
+        assert measured is not None, "without a fault, everything was measured"
+        if ids is not None:
+            self.stack.reset(measured, ids)
+        observation = self._without_diverged(self.stack.lift(measured), starting)
+        step = self._judge(observation, starting, faults, told)
+        self._last_observation = step.observation
+        if starting is not None:
+            self.audience.tell_starts(step.observation, step.info, self._seeds_of(ids))
+        self.audience.tell_step(step, action, starting)
+        if faults := step.info.get("faults", {}):
+            self._tell_ends(step, faults)
+        return step
+
+    def _repeat(self) -> None:
+        """Tell all devices their targets again, unless they were told to hold; another thread may say so meanwhile."""
+        if not self._must_rebase:
+            self.stack.repeat()
+            if self._must_rebase:
+                self.stack.hold()
+
+    def _without_diverged(self, observation: Observation, starting: NDArray[np.bool_] | None) -> Observation:
+        """Return an observation in which copies whose simulation diverged show what they showed last."""
+        diverged = self._ends == _FAILED
+        if starting is not None:
+            diverged = diverged & ~starting
+        if not diverged.any():
+            return observation
+        return _with_rows(observation, self._last_observation, diverged if self.leading else ...)
+
+    def _judge(
+        self, observation: Observation, starting: NDArray[np.bool_] | None, faults: dict[str, str], told: dict[str, Any]
+    ) -> Step:
+        """Return the step that led to an observation."""
+        reward: Any = 0.0
+        terminated: Any = np.zeros(self.leading, np.bool_)
+        info: dict[str, Any] = {}
+        truncated = self._ends >= _FAILED
+        if starting is None:
+            self._steps = self._steps + 1
+        else:
+            self._steps = self._steps + ~starting
+            truncated = truncated & ~starting
+        if self.scenario is not None:
+            judgement = self.scenario.evaluate()
+            info, failed, diverged = judgement.info, truncated | bool(faults), None
+            if judgement.terminated is not None:
+                terminated = judgement.terminated if starting is None else judgement.terminated & ~starting
+            if truncated.any() if self.leading else truncated:
+                diverged = truncated & (self._ends == _FAILED)
+                told["faults"] = self.scenario.faults(truncated & ~diverged)
+                if any(port.can_fail for port in self.stack.ports):
+                    self._hold_in_fault(told["faults"])  # real devices; in simulation alone, no time passes any more
+            terminated = terminated & ~failed
+            reward = self.scenario.rewards.pay(
+                judgement, terminated=terminated, failed=failed, diverged=diverged, starting=starting
+            )
+            self.scenario.require_reward(reward, judgement)
+        if self._max_episode_steps is not None:
+            truncated = truncated | ((self._steps >= self._max_episode_steps) & ~terminated)
+            truncated = truncated if starting is None else truncated & ~starting
+        info = {**info, **self.stack.info(), "time": self._time(), "end": END_NAMES[self._ends]}
+        if not self._clock.is_real and (ages := self.stack.ages()):
+            info["ages"] = ages
+        if not self.leading:
+            info = row(info, ...)
+            info.update(self.audience.info())
+        info["target"] = copied(self.stack.target)
+        if told:
+            info.update(told)
+        if self._clock.is_real:
+            now = self._clock.now()
+            info["late"] = self._clock.late
+            info["ages"] = {name: now - captured for name, captured in self.stack.capture_times().items()}
+            if clamped := self.stack.clamped():
+                info["clamped"] = clamped
+        if faults:
+            info.update(end=FAULT, faults=faults)
+            terminated, truncated = np.False_, np.True_
+        self.is_over = terminated | truncated
+        return Step(observation=observation, reward=reward, terminated=terminated, truncated=truncated, info=info)
+
+    def _time(self) -> Any:
+        """Return the time of the present observation [s]: that of the simulation, or the host's monotonic clock."""
+        if self.scenario is None:
+            return np.float64(self._clock.now())
+        return self.scenario.world.time.copy()
+
+    def _seeds_of(self, started: Copies) -> dict[int, int | None]:
+        """Return the seeds of copies that start an episode; None after the first: it depends on those before it."""
+        copies = range(max(1, self.seeds.size)) if started is None else started
+        seeds, episodes = self.seeds.reshape(-1), self.episodes.reshape(-1)
+        return {int(copy): None if episodes[copy] else int(seeds[copy]) for copy in copies}
+
+    # --- The whole state ----------------------------------------------------------------------------------------------
+
+    def rebase_if_held(self) -> None:
+        """Do now what the next step would do first."""
+        if self._must_rebase:
+            self._must_rebase = False
+            self.stack.rebase()
+
+    def counters(self) -> dict[str, Any]:
+        """Return what is counted of the episodes, each (*leading,)."""
+        return {"seeds": self.seeds, "episodes": self.episodes, "steps": self._steps, "is_over": self.is_over}
+
+    def set_counters(self, rows: Mapping[str, NDArray[Any]], copies: NDArray[np.int32]) -> None:
+        """Set what is counted of some copies' episodes, (copies,) each."""
+        where: Any = copies if self.leading else ...
+        self._steps, self.is_over = np.array(self._steps), np.array(self.is_over)
+        for name, counted in self.counters().items():
+            counted[where] = rows[name] if self.leading else rows[name][0]
+
+    def go_on(self, copies: NDArray[np.int32]) -> Observation:
+        """Observe after the state of some copies was set; their recordings end."""
+        for copy in copies:
+            self.audience.tell_end("set_state", {"set_state": "A state was set."}, copy=int(copy))
+        self._clock.reset()
+        self._last_observation = self.stack.lift(self.stack.measure())
+        return self._last_observation
+
+    # --- When something goes wrong ------------------------------------------------------------------------------------
+
+    def _tell_ends(self, step: Step, faults: dict[str, Any]) -> None:
+        """Tell the observers of an episode that ended in a fault; of a batch, those of the copies that did."""
+        if not self.leading:
+            self.audience.tell_end(str(step.info["end"]), faults)
+            return
+        for copy in np.flatnonzero(step.truncated & (self._ends == _FAULT)):
+            reasons = {name: str(own[copy]) for name, own in faults.items() if own[copy]}
+            self.audience.tell_end(FAULT, reasons, copy=int(copy))
+
+    def _hold_in_fault(self, faults: dict[str, str]) -> None:
+        """Have all devices hold; one that refuses in its fault state is told in `faults`."""
+        self._must_rebase = True
+        try:
+            self.stack.hold()
+        except Exception as err:  # noqa: BLE001  the device that failed may refuse everything; the reason is passed on
+            faults["hold"] = f"{type(err).__name__}: {err}"
+
+    def _end_without_row(self, faults: dict[str, str]) -> Step:
+        """End the episode in a step that not all devices took part in: observers are told its end, but see no step."""
+        self.is_over = np.ones(self.leading, np.bool_)
+        self.audience.tell_end(FAULT, faults)
+        try:
+            observation = self.stack.lift(self.stack.measure())
+        except DeviceFault:
+            observation = copied(self._last_observation)
+        info = {"end": FAULT, "faults": faults}
+        return Step(
+            observation=observation, reward=np.zeros(()), terminated=np.False_, truncated=np.True_, info=info
+        )  # fmt: skip
+
+    def _break_off(self, error: BaseException) -> None:
+        """Have all devices hold after an error, end the episodes, and tell the observers."""
+        self._must_rebase = True
+        calls: list[Callable[[], None]] = [self.stack.hold]
+        # A device that refuses an action is no reason to end the episode: the next one may be better.
+        if not isinstance(error, InvalidAction) and self._is_started and not self._broken_off_by:
+            if not self.is_over.all():
+                calls.append(lambda: self.audience.tell_end("exception", {type(error).__name__: str(error)}))
+            self._is_started = False
+            self._broken_off_by = type(error).__name__
+        try:
+            for_all(calls)
+        except Exception as err:  # noqa: BLE001  the first error is the one to be raised
+            error.add_note(f"While the devices were told to hold: {type(err).__name__}: {err}")
+
+    def hold(self) -> None:
+        """Make every device stay where it is; what follows counts from there. May be called from any thread."""
+        self._must_rebase = True
+        self.stack.hold()
+
+    def rebase(self, robot: str | None = None) -> None:
+        """Make what follows count from the measured state."""
+        if not self.is_open or (self.episodes < 0).any():
+            raise WrongOrder("rebase was called before the first reset, or on a closed environment.")
+        self.stack.rebase(robot)
+
+    def recover(self) -> None:
+        """Clear the faults of all devices; nothing moves."""
+        if not self.is_open:
+            raise WrongOrder("recover was called on a closed environment; make a new one.")
+        self._must_rebase = True
+        self.stack.recover()
+
+    def close(self, park: Approaches | None = None) -> None:
+        """Let go of all devices, then of observers, pictures and the world, whatever fails. Closing twice is harmless.
+
+        Called while another thread makes a step, it has all devices hold at once, and closes them after the step.
+
+        Args:
+            park: Moves real robots before; not where a step failed, a device is in fault or an error is under way.
+        """
+        if not self.is_open:
+            return
+        self.is_open = False
+        held = [self.stack.hold, self.turn.wait] if self.turn.is_of_another_thread else []
+        try:
+            if park is not None and self._is_started and not held and not self.stack.faults() and not sys.exc_info()[0]:
+                self._approach(park)
+        finally:
+            for_all([*held, self.stack.close, *self.audience.closes(), *self._resources])
+
+
+def _with_rows(new: Mapping[str, Any], old: Mapping[str, Any], where: Any) -> dict[str, Any]:
+    """Return new values with some rows of the old ones, in any nesting."""
+    merged = copied(new)
+    for key, value in merged.items():
+        if isinstance(value, dict):
+            merged[key] = _with_rows(value, old[key], where)
+        else:
+            value[where] = old[key][where]
+    return merged
+
+
+def _listed(faults: Mapping[str, str]) -> str:
+    return "; ".join(f"{name}: {reason}" for name, reason in faults.items())

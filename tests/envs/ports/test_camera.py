@@ -1,0 +1,279 @@
+"""Real cameras run on threads of their own: a step gets the newest frames with their ages, and learns of stalls."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rcs_data import Dataset
+from rcs_data.flags import FrameFlag
+
+import rcs
+from rcs.devices import CameraMode, Frame
+from rcs.devices.fakes import FakeCamera
+from rcs.envs.observers.record import record
+from rcs.envs.ports.camera import cropped, intrinsics_of
+from rcs.errors import DeviceFault, InvalidSetup
+from rcs.hardware import Site
+from rcs.robots.realsense_d435.description import REALSENSE_D435
+from rcs.setups.lab import lab_of
+
+SIZE = (64, 48)
+
+
+def wait_for(what: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20.0
+    while not what():
+        assert time.monotonic() < end, "waited for 20 s"
+        time.sleep(0.01)
+
+
+def make(camera: FakeCamera, *, on_stale: Any = "fault", stale_after: float = 0.3, **options: Any) -> Any:
+    site = Site(
+        arms={"fr3": "fake"},
+        grippers={"fr3": "fake"},
+        cameras={"side": camera},
+        on_stale=on_stale,
+        stale_after=stale_after,
+    )
+    return rcs.make("Free", cameras=("side",), image_size=SIZE, hardware=site, frequency=100.0, **options)
+
+
+@pytest.fixture
+def camera() -> FakeCamera:
+    return FakeCamera(CameraMode(640, 480, 30.0, False), name="side")
+
+
+def stay(env: Any) -> dict[str, Any]:
+    return {"joints": np.zeros(7), "gripper": np.ones(1, np.float32)}
+
+
+def test_a_frame_that_is_seen_again_is_the_same_read_only_array(camera: FakeCamera) -> None:
+    env = make(camera)
+    observation, _ = env.reset(seed=0)
+    frames = [observation["frames"]["side"]["rgb"]]
+    for _ in range(30):
+        observation, *_, info = env.step(stay(env))
+        assert env.observation_space.contains(observation)
+        frames.append(observation["frames"]["side"]["rgb"])
+        assert 0.0 <= info["ages"]["frames/side"] < 0.3
+    assert not frames[0].flags.writeable
+    kinds = len({id(frame) for frame in frames})
+    assert 1 < kinds < len(frames), "some frames are new and some are seen again"
+    env.close()
+    assert not camera.is_open
+
+
+def test_a_camera_that_stalls_ends_the_episode(camera: FakeCamera) -> None:
+    env = make(camera, on_stale="fault")
+    env.reset(seed=0)
+    camera.freeze()
+    info: dict[str, Any] = {}
+    for _ in range(200):
+        *_, truncated, info = env.step(stay(env))
+        if truncated:
+            break
+    assert info["end"] == "fault"
+    assert "no new frame" in info["faults"]["side"]
+    with pytest.raises(DeviceFault, match="no new frame"):
+        env.reset(seed=0)
+    env.close()
+
+
+def test_a_camera_that_stalls_has_all_devices_hold_until_it_goes_on(camera: FakeCamera) -> None:
+    env = make(camera, on_stale="hold")
+    env.reset(seed=0)
+    camera.lose_link()
+    go = {"joints": np.full(7, 0.01), "gripper": np.ones(1, np.float32)}
+    wait_for(lambda: "refused" in env.step(go)[-1])
+    for _ in range(5):
+        *_, info = env.step(go)
+        assert "side" in info["refused"]
+    before = env.step(go)[0]["joints"]
+    np.testing.assert_allclose(env.step(go)[0]["joints"], before, atol=1e-9)
+    camera.restore()
+    wait_for(lambda: "refused" not in env.step(stay(env))[-1])
+    env.close()
+
+
+def test_a_camera_that_cannot_be_opened_again_says_why(camera: FakeCamera, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.envs.ports.camera.RECONNECT", 0.01)
+    env = make(camera, stale_after=0.5)
+    env.reset(seed=0)
+    camera.lose_link()
+    told: list[str] = []
+    wait_for(lambda: bool(told.append(str(env.step(stay(env))[-1].get("faults", ""))) or told[-1]))
+    assert "the link is lost" in told[-1]
+    env.close()
+
+
+def test_a_camera_that_stalls_can_only_be_flagged(camera: FakeCamera, tmp_path: Path) -> None:
+    env = make(camera, on_stale="flag", stale_after=0.05)
+    with record(env, tmp_path / "takes") as takes:
+        takes.start(at_reset=True)
+        env.reset(seed=0)
+        camera.freeze()
+        wait_for(lambda: env.step(stay(env))[-1]["ages"]["frames/side"] > 0.1)
+        takes.stop(None)
+    env.close()
+    episode = Dataset.open(tmp_path / "takes").episodes[0]
+    assert FrameFlag.STALE in FrameFlag(int(episode.column("flags/frames/side")[-1]))
+    assert episode.info.origin["platform"] == {"fr3": "fake", "fr3/franka_hand": "fake", "side": "FakeCamera"}
+    assert np.isfinite(episode.column("time/joints")).all()
+
+
+def test_without_a_first_frame_nothing_stays_open(camera: FakeCamera, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.envs.ports.camera.FIRST_FRAME", 0.2)
+
+    class Dark(FakeCamera):
+        def _read(self) -> Frame:
+            raise OSError("no picture")
+
+    dark = Dark(camera.mode, name="side")
+    env = make(dark)
+    with pytest.raises(DeviceFault, match=r"'side' has given no frame.*read failed: OSError: no picture"):
+        env.reset(seed=0)
+    assert not dark.is_open
+    assert all(port.device is None or not port.device.is_open for port in env.stack.ports)
+    env.close()
+
+
+class StuckCamera(FakeCamera):
+    """A camera whose driver does not return from a call, until it is told to."""
+
+    def __init__(self) -> None:
+        super().__init__(CameraMode(640, 480, 30.0, False), name="side")
+        self.goes_on = threading.Event()
+        self.goes_on.set()
+        self.opens = threading.Event()
+        self.opens.set()
+
+    def _open(self) -> None:
+        self.opens.wait(60.0)
+
+    def _read(self) -> Frame:
+        self.goes_on.wait(60.0)
+        return super()._read()
+
+
+@pytest.fixture
+def stuck(monkeypatch: pytest.MonkeyPatch) -> Iterator[StuckCamera]:
+    monkeypatch.setattr("rcs.envs.ports.camera.FIRST_FRAME", 0.3)
+    monkeypatch.setattr("rcs.envs.ports.camera.LONGEST_CALL", 0.2)
+    camera = StuckCamera()
+    yield camera
+    camera.goes_on.set()
+    camera.opens.set()
+    wait_for(lambda: "camera side" not in [thread.name for thread in threading.enumerate()])
+    assert not camera.is_open
+
+
+def no_arm_is_open(env: Any) -> bool:
+    return all(getattr(port, "device", None) is None or not port.device.is_open for port in env.stack.ports)
+
+
+def test_a_camera_that_does_not_return_keeps_nobody_from_closing(
+    stuck: StuckCamera, caplog: pytest.LogCaptureFixture
+) -> None:
+    env = make(stuck)
+    env.reset(seed=0)
+    stuck.goes_on.clear()
+    wait_for(lambda: env.step(stay(env))[3])
+    begin = time.monotonic()
+    env.close()
+    env.close()
+    assert time.monotonic() - begin < 20.0
+    assert no_arm_is_open(env)
+    assert "camera side has not returned" in caplog.text
+    assert stuck.is_open, "its thread has it until the call returns"
+
+
+@pytest.mark.parametrize("call", ["opens", "goes_on"])
+def test_a_first_call_that_does_not_return_leaves_no_arm_open(stuck: StuckCamera, call: str) -> None:
+    getattr(stuck, call).clear()
+    env = make(stuck)
+    for words in ("has given no frame within 0.3 s", "still in a call of its driver"):
+        with pytest.raises(DeviceFault, match=words):
+            env.reset(seed=0)
+        assert no_arm_is_open(env)
+    getattr(stuck, call).set()
+    wait_for(lambda: "camera side" not in [thread.name for thread in threading.enumerate()])
+    env.reset(seed=0)
+    assert env.step(stay(env))[-1]["ages"]["frames/side"] < 20.0
+    env.close()
+
+
+def test_why_a_camera_cannot_be_opened_is_what_reset_raises(camera: FakeCamera) -> None:
+    class Unplugged(FakeCamera):
+        def _open(self) -> None:
+            raise OSError("no such camera")
+
+    env = make(Unplugged(camera.mode, name="side"))
+    with pytest.raises(DeviceFault, match="open failed: OSError: no such camera"):
+        env.reset(seed=0)
+    assert no_arm_is_open(env)
+    env.close()
+
+
+@pytest.mark.parametrize("ahead", [3600.0, 1.7e9, np.inf])
+def test_frames_from_the_future_are_a_fault_and_not_fresh_for_ever(
+    monkeypatch: pytest.MonkeyPatch, camera: FakeCamera, ahead: float
+) -> None:
+    class Stamping(FakeCamera):
+        ahead = 0.0
+
+        def _read(self) -> Frame:
+            frame = super()._read()
+            return Frame(frame.rgb, number=frame.number, time=time.monotonic() + self.ahead)
+
+    monkeypatch.setattr("rcs.envs.ports.camera.FIRST_FRAME", 0.3)
+    stamping = Stamping(camera.mode, name="side")
+    env = make(stamping, max_episode_steps=None)
+    env.reset(seed=0)
+    stamping.ahead = ahead
+    infos: list[dict[str, Any]] = []
+    wait_for(lambda: (infos.append(env.step(stay(env))[-1]), infos[-1]["end"] == "fault")[1])
+    assert "ahead of the host's monotonic clock" in infos[-1]["faults"]["side"]
+    env.close()
+    with pytest.raises(DeviceFault, match="ahead of the host's monotonic clock"):
+        make(stamping).reset(seed=0)
+
+
+@pytest.mark.parametrize("size", [(640, 480), (320, 240), (224, 224), (64, 48)])
+def test_cut_and_scaled_frames_have_the_matrix_of_simulated_ones(size: tuple[int, int]) -> None:
+    camera = FakeCamera(CameraMode(640, 480, 30.0, False))
+    expected = REALSENSE_D435.intrinsics(*size)
+    np.testing.assert_allclose(intrinsics_of(camera, REALSENSE_D435, size).matrix, expected, rtol=0.01)
+    rows, columns = cropped((640, 480), size)
+    assert (columns.stop - columns.start) / (rows.stop - rows.start) == pytest.approx(size[0] / size[1], rel=0.01)
+
+
+def test_of_frames_of_another_shape_it_says_where_its_figures_are_from() -> None:
+    of_the_lab = lab_of("fr3").cameras["wrist"].calibration
+    with pytest.raises(InvalidSetup) as told:
+        intrinsics_of(FakeCamera(CameraMode(640, 480, 30.0, False)), REALSENSE_D435, (640, 480), of_the_lab)
+    assert "was calibrated" not in str(told.value)
+    for words in ("848 x 480 px", "640 x 480 px", "data sheet", "calibrate"):
+        assert words in str(told.value)
+
+
+@pytest.mark.gl
+def test_matrices_are_those_of_the_simulated_cameras() -> None:
+    options: dict[str, Any] = {"cameras": ("wrist", "side"), "image_size": (320, 240)}
+    real = rcs.make("Free", hardware={"fr3": "fake", "wrist": "fake", "side": "fake"}, **options)
+    simulated = rcs.make("Free", **options)
+    assert real.observation_space == simulated.observation_space
+    measured, _ = real.reset(seed=0)
+    drawn, _ = simulated.reset(seed=0)
+    for name in options["cameras"]:
+        for key in ("intrinsics", "extrinsics"):
+            np.testing.assert_allclose(
+                measured["frames"][name][key], drawn["frames"][name][key], atol=1e-6, err_msg=f"{name} {key}"
+            )
+    real.close()
+    simulated.close()
