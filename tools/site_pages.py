@@ -14,9 +14,9 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 PACKAGES = (
     "rcs", "rcs.envs", "rcs.envs.layers", "rcs.tasks", "rcs.agents", "rcs.rollout", "rcs.rl", "rcs.devices",
-    "rcs.hardware", "rcs.virtual", "rcs.calibration", "rcs.setups", "rcs.robots", "rcs.kinematics", "rcs.planning",
-    "rcs.sim", "rcs.spatial", "rcs_data", "rcs_data.edit", "rcs_data.convert", "rcs_data.torch", "rcs.testing",
-    "rcs.errors",
+    "rcs.hardware", "rcs.virtual", "rcs.calibration", "rcs.policy", "rcs.setups", "rcs.robots", "rcs.kinematics",
+    "rcs.planning", "rcs.sim", "rcs.spatial", "rcs.testing", "rcs.errors", "rcs_data", "rcs_data.edit",
+    "rcs_data.convert", "rcs_data.torch", "vlagents",
 )  # fmt: skip
 
 BEHIND_GUIDES = "---\nsearch: { boost: 0.1 }\n---\n\n"
@@ -25,8 +25,8 @@ BEHIND_GUIDES = "---\nsearch: { boost: 0.1 }\n---\n\n"
 
 def path_of(package: str) -> Path:
     """Return the folder of a package; with the suffix `.py` it is the file of a module."""
-    source = ROOT / "packages/rcs-data/src" if package.startswith("rcs_data") else ROOT / "src"
-    return source / package.replace(".", "/")
+    folder = {"rcs": "src", "rcs_data": "packages/rcs-data/src", "vlagents": "packages/vlagents/src"}
+    return ROOT / folder[package.partition(".")[0]] / package.replace(".", "/")
 
 
 def homes_of(package: str) -> dict[str, str]:
@@ -39,9 +39,11 @@ def homes_of(package: str) -> dict[str, str]:
             if isinstance(node, ast.ImportFrom) and node.module != package:
                 names |= {str(one.asname): f"{node.module}.{one.name}" for one in node.names if one.asname}
         return {name: home for name, home in names.items() if not name.startswith("_")}
-    for node in ast.parse(path.with_suffix(".py").read_text("utf-8")).body:
-        if isinstance(node, ast.ImportFrom):  # what it gives on from another module has `as`
-            names |= {str(one.asname): f"{node.module}.{one.name}" for one in node.names if one.asname == one.name}
+    source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    for node in ast.parse(source.read_text("utf-8")).body:
+        if isinstance(node, ast.ImportFrom):  # a package exports its own names; a module exports names that have `as`
+            own = path.is_dir() and str(node.module).startswith(package)
+            names |= {one.name: f"{node.module}.{one.name}" for one in node.names if own or one.asname == one.name}
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
             names[node.name] = f"{package}.{node.name}"
     return names
@@ -83,6 +85,13 @@ def start_page() -> str:
         return f"[{text}]({target.removeprefix('docs/')})" if target.startswith("docs/") else text
 
     return re.sub(r"\[([^\]]*)\]\(([^)]+)\)", move, (ROOT / "README.md").read_text("utf-8"))
+
+
+def on_config(config: Any) -> Any:
+    """Add the reference to the last group of the navigation."""
+    group = next(iter(config.nav[-1].values()))
+    group.append({"Python": [{package: f"reference/{package}.md"} for package in PACKAGES]})
+    return config
 
 
 def on_files(files: Any, *, config: Any) -> Any:
