@@ -58,6 +58,7 @@ def test_an_error_of_a_vendors_library_ends_the_episode_in_its_words(call: str) 
         assert (terminated, truncated, info["end"]) == (False, True, "fault")
         assert info["faults"] == {"glitching": f"{call} failed: IndexError: list index out of range"}
         assert gripper.has_arrived()  # it holds, with all others
+        assert {"time", "late", "ages", "target"} <= info.keys()  # as after any other step in real time
         arm.failing = ""
         env.recover()
         env.reset()

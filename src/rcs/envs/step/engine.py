@@ -314,16 +314,19 @@ class Engine:
         if told:
             info.update(told)
         if self._clock.is_real:
-            now = self._clock.now()
-            info["late"] = self._clock.late
-            info["ages"] = {name: now - captured for name, captured in self.stack.capture_times().items()}
-            if clamped := self.stack.clamped():
-                info["clamped"] = clamped
+            info.update(self._timing())
         if faults:
             info.update(end=FAULT, faults=faults)
             terminated, truncated = np.False_, np.True_
         self.is_over = terminated | truncated
         return Step(observation=observation, reward=reward, terminated=terminated, truncated=truncated, info=info)
+
+    def _timing(self) -> dict[str, Any]:
+        """Return how late a step in real time ended, how old its measurements are [s], and the clamps so far."""
+        now = self._clock.now()
+        ages = {name: now - captured for name, captured in self.stack.capture_times().items()}
+        clamped = self.stack.clamped()
+        return {"late": self._clock.late, "ages": ages, **({"clamped": clamped} if clamped else {})}
 
     def _time(self) -> Any:
         """Return the time of the present observation [s]: that of the simulation, or the host's monotonic clock."""
@@ -391,7 +394,9 @@ class Engine:
             observation = self.stack.lift(self.stack.measure())
         except DeviceFault:
             observation = copied(self._last_observation)
-        info = {"end": FAULT, "faults": faults}
+        info = {"time": self._time(), "target": copied(self.stack.target), "end": FAULT, "faults": faults}
+        if self._clock.is_real:
+            info.update(self._timing())
         return Step(
             observation=observation, reward=np.zeros(()), terminated=np.False_, truncated=np.True_, info=info
         )  # fmt: skip
