@@ -4,8 +4,8 @@
 
 Draws random changes of one expression each: a number, a comparison, True or False, a condition, an operator. Runs the
 tests of the mutated file: the mirrored one and all that import the module by its name, without those that are slow. A
-mutant is killed when they fail. Prints a line per mutant, and a last line of JSON. The source is restored at the end, also
-after Ctrl-C.
+mutant is killed when they fail. Prints a line per mutant, and a last line of JSON. The source is restored at the end,
+also after Ctrl-C.
 """
 
 from __future__ import annotations
