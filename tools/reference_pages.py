@@ -14,10 +14,11 @@ from collections.abc import Iterable, Sequence
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 from gymnasium import spaces
+from rcs_data.record import Record, valid_values
 
 import rcs
 from rcs.devices import lookup
@@ -255,7 +256,9 @@ def options_table(kind: Any) -> str:
     for name, annotation, default, told in fields_of(kind):
         annotation = getattr(wider.get(name), "__forward_arg__", annotation)
         shown = f'"{default}"' if isinstance(default, str) else str(default)
-        rows.append((f"`{name}`", choices(annotation), f"`{shown}`", told))
+        given = "" if default is dataclasses.MISSING else f"`{shown}`"
+        valid = valid_values(get_type_hints(kind, include_extras=True)[name]) if issubclass(kind, Record) else ""
+        rows.append((f"`{name}`", valid or choices(annotation), given, told))
     return table(("option", "type", "default", "meaning"), rows)
 
 
@@ -378,6 +381,9 @@ def options_page() -> str:
         '`randomisation=True` or `"default"` takes these, `"mild"` half and `"strong"` about twice as much; '
         "`rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` varies nothing but what is given.\n",
         options_table(rcs.Randomisation),
+        "## Options of `FieldRange`\n",
+        "A range of any numeric field of the MuJoCo model; `Randomisation(fields=(…,))` takes any number of them.\n",
+        options_table(rcs.FieldRange),
     ]
     return "\n".join(parts)
 

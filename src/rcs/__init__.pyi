@@ -24,6 +24,7 @@ from rcs.rollout.episode import run_episode as run_episode
 from rcs.rollout.evaluate import evaluate as evaluate
 from rcs.setups.make import make as make
 from rcs.setups.make import make_vec as make_vec
+from rcs.sim.model_fields import FieldRange as FieldRange
 from rcs.sim.pixels import Pixels as Pixels
 from rcs.sim.randomisation import Randomisation as Randomisation
 from rcs.spatial import Pose as Pose

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import dataclasses
 import json
 import pickle
 from typing import Any
@@ -10,10 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rcs.errors import InvalidSetup
-from rcs.sim.randomisation import COUNTS, FACTORS, OFF, SPANS, Randomisation
+from rcs.sim.model_fields import FieldRange
+from rcs.sim.randomisation import Randomisation
 
 FACTOR = st.tuples(st.floats(0.1, 1.0), st.floats(1.0, 3.0))
-NAMES = [field.name for field in dataclasses.fields(Randomisation)]
+NAMES = Randomisation.names()
+OFF = Randomisation.off()
+COUNTS = {name for name in NAMES if isinstance(getattr(OFF, name), int)}
+FACTORS = {name for name in NAMES if getattr(OFF, name) == (1, 1)} - {"gripper_opening"}
+SPANS = {name for name in NAMES if isinstance(getattr(OFF, name), tuple)} - FACTORS
+FIELDS = st.lists(st.builds(FieldRange, st.just("geom_friction"), st.floats(0.1, 1.0), st.floats(1.0, 3.0)), max_size=1)
 SPAN = st.tuples(st.floats(0.0, 0.2), st.floats(0.2, 0.5))
 
 
@@ -22,10 +27,10 @@ def values_of(name: str) -> st.SearchStrategy[Any]:
         return st.integers(0, 8)
     if name in FACTORS:
         return FACTOR
-    return SPAN if isinstance(OFF[name], tuple) else st.floats(0.0, 0.1)
+    return SPAN if name in SPANS else st.floats(0.0, 0.1)
 
 
-RANGES = st.builds(Randomisation, **{name: values_of(name) for name in NAMES})
+RANGES = st.builds(Randomisation, fields=FIELDS, **{name: values_of(name) for name in NAMES})
 
 
 @settings(max_examples=50, deadline=None)

@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 
 from rcs.sim import Scene
-from rcs.sim.randomisation import MAX_TEXTURES
 from rcs.sim.textures import add_textures, procedural_texture, texture_name
+
+MAX_TEXTURES = 16
 
 
 def test_textures_are_bright_and_all_different() -> None:

@@ -34,10 +34,10 @@ from rcs.envs.step.clock import Clock
 from rcs.envs.step.scenario import Scenario
 from rcs.envs.step.stack import NAMELESS, Stack
 from rcs.envs.variation.randomiser import Randomiser
+from rcs.envs.variation.robots import keep_history
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
-from rcs.sim.action_latency import keep_history
 from rcs.sim.camera import SimCameras
 from rcs.sim.frame_clock import FrameClock, FrameRate
 from rcs.sim.loads import CollisionGuard
@@ -146,6 +146,7 @@ def compose(parts: Parts) -> Scene:
         add_textures(scene.spec, parts.setup.randomisation.textures)
         if parts.setup.randomisation.varies("action_latency"):
             keep_history(scene.spec, parts.robots, _longest_latency(parts.setup))
+        scene.varied = parts.setup.randomisation.fields
     return scene
 
 

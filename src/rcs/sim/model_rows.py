@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rcs.sim.model_fields import SIMPLE_SHAPES
 from rcs.sim.world import Copies, World
 
 
@@ -23,10 +24,16 @@ class ModelRows:
             rows: The rows: ids of bodies, geoms, …
         """
         self.rows = np.asarray(rows, np.intp)
-        self.nominal: NDArray[Any] = np.array(getattr(world.model, field)[self.rows])
-        """Values in the compiled model, (rows, ...)."""
         self._has_copies = bool(world.leading)
         self._live = world.vary(field)
+        self.nominal: NDArray[Any] = np.array((self._live[0] if self._has_copies else self._live)[self.rows])
+        """Values before the first episode, (rows, ...)."""
+
+    def read(self, copies: Copies = None) -> NDArray[Any]:
+        """Return the present values of some copies, (*leading of the copies, rows, ...)."""
+        if not self._has_copies:
+            return self._live[self.rows]
+        return self._live[slice(None) if copies is None else copies][:, self.rows]
 
     def write(self, values: NDArray[Any], copies: Copies = None) -> None:
         """Write the values of some copies.
@@ -73,16 +80,12 @@ class ObjectParts:
         moving = np.append(model.flex_nodebodyid[self.nodes], self.root)
         self.is_scalable = bool(
             (len(self.geoms) or len(self.flexes))
-            and np.isin(model.geom_type[self.geoms], _SIMPLE).all()
+            and np.isin(model.geom_type[self.geoms], SIMPLE_SHAPES).all()
             and _have_nodes_alone(model, self.flexes)
             and np.isin(model.jnt_bodyid[joints], moving).all()
         )
         """Whether it consists of simple rigid shapes, or of soft solids that follow nodes. Meshes are shared by all
         copies and keep their size, as do soft bodies with springs along their edges."""
-
-
-_SIMPLE = np.arange(2, 7)
-"""Sphere, capsule, ellipsoid, cylinder and box in `mjtGeom`."""
 
 
 def _rows_of(flexes: NDArray[np.intp], first: NDArray[np.int32], count: NDArray[np.int32]) -> NDArray[np.intp]:

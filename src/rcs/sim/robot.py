@@ -11,8 +11,8 @@ from rcs._core import ArmLimits, GripperMap, JointsAtRest, Motion, SimArm, SimGr
 from rcs.errors import InvalidSetup
 from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.layout import Index, RobotLayout
-from rcs.sim.scene import LOAD, LOAD_MASS, RobotPlacement
-from rcs.sim.springs import springs_of
+from rcs.sim.robot_model import LOAD, LOAD_MASS, springs_of
+from rcs.sim.scene import RobotPlacement
 from rcs.sim.world import Copies, World
 
 STILL_TOLERANCE = 1e-2

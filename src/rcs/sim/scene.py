@@ -6,6 +6,7 @@ robot's name as prefix (`fr3/joint1`, `fr3/gripper/tcp`), those of a camera the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -13,13 +14,14 @@ import numpy as np
 
 from rcs._core import Trajectory
 from rcs.errors import InvalidSetup
-from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, compiled, flange_frame, load, mount_frame
+from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, compiled, load, mount_frame
 from rcs.robots.calibration import CameraCalibration
 from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
 from rcs.sim.detail import Assets, exchange_visuals
+from rcs.sim.model_fields import FieldRange, prepare_model
 from rcs.sim.robot_check import check_robot
-from rcs.sim.springs import give_way
+from rcs.sim.robot_model import add_load, give_way
 from rcs.sim.tactile_mounts import TactilePlacement, attach_tactile
 from rcs.sim.textures import add_wood
 
@@ -32,10 +34,6 @@ OVERVIEW_MIDDLE = (0.35, 0.0, 0.5)
 OVERVIEW_DISTANCE = 2.05
 """Distance of the overview from it, in parts of the reach: for two arms it stays within the walls."""
 
-LOAD = "load"
-"""Name of the body at a robot's flange that carries the compensation of a load (`SimRobot.set_load`)."""
-LOAD_MASS = 1e-6
-"""Its mass [kg], too small for anything else to notice."""
 TABLE = "table"
 """Name of the body of the table."""
 TABLE_THICKNESS = 0.04
@@ -137,6 +135,8 @@ class Scene:
     cameras: list[CameraPlacement] = field(default_factory=list)
     has_textures: bool = False
     tactile: list[TactilePlacement] = field(default_factory=list)
+    varied: Sequence[FieldRange] = ()
+    """Fields of the model that will vary from episode to episode."""
     _lacks_details: bool = field(default=False, init=False, repr=False)
     """Whether detailed visuals are unavailable; the next robot then neither waits for the network nor warns again."""
 
@@ -277,7 +277,7 @@ class Scene:
             if robot.gripper is not None:
                 parts.append((GRIPPER_PREFIX, robot.gripper.menagerie))
             self._lacks_details = not exchange_visuals(arm, parts)
-        _add_load(arm, robot.arm)
+        add_load(arm, robot.arm)
         self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
         self._aim_overview([*self.robots, robot])
         give_way(self.spec, robot)
@@ -366,29 +366,16 @@ class Scene:
         """Compile the model; warn about robots whose servos cannot carry their weight.
 
         Raises:
-            InvalidSetup: A part cannot be compiled, or a robot's base is not where it was placed, because its file
-                gives it a pose.
+            InvalidSetup: A part cannot be compiled, a robot's base is moved by a pose in its file,
+                or a varied field names nothing.
         """
         arms = [robot.arm for robot in self.robots]
         effectors = [robot.end_effector for robot in self.robots if robot.end_effector is not None]
         model = compiled(self.spec, [*arms, *effectors, *(camera.camera for camera in self.cameras)])
         for robot in self.robots:
             check_robot(robot, model)
+        prepare_model(model, self.varied)
         return model
-
-
-def _add_load(spec: mujoco.MjSpec, arm: ArmDescription) -> None:
-    """Add the body of `SimRobot.set_load` to a flange: MuJoCo compensates gravity in proportion to a body's mass."""
-    flange = flange_frame(spec, arm)
-    flange.parent.add_body(
-        name=LOAD,
-        mass=LOAD_MASS,
-        # Not in the origin: there MuJoCo takes the centre of mass for that of the frame, whatever is written later.
-        ipos=[0.0, 0.0, 1e-3],
-        inertia=[1e-12] * 3,
-        explicitinertial=True,
-        gravcomp=1.0,
-    ).set_frame(flange)
 
 
 def _axes_looking(eye: list[float], target: list[float]) -> list[float]:

@@ -3,56 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.variation.variation import Values, Variation
-from rcs.sim.model_rows import ModelRows, colours, owners
+from rcs.sim.model_rows import colours, owners
 from rcs.sim.scene import TABLE, CameraPlacement
 from rcs.sim.textures import texture_name
 from rcs.sim.world import Copies
 from rcs.spatial import compose, normalize, wxyz_to_xyzw, xyzw_to_wxyz
 
+if TYPE_CHECKING:  # the randomiser calls this module
+    from rcs.envs.variation.randomiser import Randomiser, Values
 
-def add_lights(vary: Variation) -> None:
+
+def add_lights(vary: Randomiser) -> None:
     """Vary brightness, directions and positions of all lights."""
     model = vary.world.model
     names = [model.light(i).name for i in range(model.nlight)]
     lights = np.arange(model.nlight)
-    if vary.enable("light_intensity", (model.nlight,), names):
-        parts = ("light_ambient", "light_diffuse", "light_specular")
-        brightness = [ModelRows(vary.world, part, lights) for part in parts]
-
-        def write_brightness(drawn: dict[str, Values], copies: Copies) -> None:
-            for rows in brightness:
-                rows.scale(drawn["light_intensity"], copies)
-
-        vary.write_with(write_brightness)
-    if vary.enable("light_direction", (model.nlight, 3), names):
-        directions = ModelRows(vary.world, "light_dir", lights)
+    parts = ("light_ambient", "light_diffuse", "light_specular")
+    vary.scale("light_intensity", names, dict.fromkeys(parts, lights[:, None]))
+    if vary.enable("light_direction", names, each=(3,)):
+        directions = vary.rows("light_dir", lights)
         vary.write_with(
             lambda drawn, copies: directions.write(_turned(directions.nominal, drawn["light_direction"]), copies)
         )
-    if vary.enable("light_position", (model.nlight, 3), names):
-        positions = ModelRows(vary.world, "light_pos", lights)
+    if vary.enable("light_position", names, each=(3,)):
+        positions = vary.rows("light_pos", lights)
         vary.write_with(lambda drawn, copies: positions.write(positions.nominal + drawn["light_position"], copies))
 
 
-def add_surfaces(vary: Variation) -> None:
+def add_surfaces(vary: Randomiser) -> None:
     """Vary the colours of room and table, and the texture of its top."""
     world, model = vary.world, vary.world.model
     room = [i for i in np.flatnonzero(model.geom_bodyid == 0) if model.geom(i).name]
-    if vary.enable("room_colour", (len(room), 3), [model.geom(i).name for i in room]):
+    if vary.enable("room_colour", [model.geom(i).name for i in room], each=(3,)):
         add_colour(vary, "room_colour", [np.array([i]) for i in room])
     try:
         table = np.flatnonzero(world.subtree(TABLE)[model.geom_bodyid])
     except KeyError:
         return
     top = np.array([i for i in table if model.geom(i).name], np.intp)
-    if vary.enable("textures", (1,) if len(top) else (0,), ["0: its own look", *_texture_names(vary)], finish=np.floor):
-        looks = [int(model.material(name).id) for name in _texture_names(vary)]
-        materials, own_colour = ModelRows(world, "geom_matid", top), ModelRows(world, "geom_rgba", top)
+    if vary.enable("textures", [TABLE] if len(top) else [], finish=np.floor):
+        looks = [int(model.material(texture_name(i)).id) for i in range(vary.ranges.textures)]
+        materials, own_colour = vary.rows("geom_matid", top), vary.rows("geom_rgba", top)
         own_colour.write(colours(world, top))
         choices = np.column_stack([materials.nominal, *(np.full(len(top), look) for look in looks)])
         vary.write_with(
@@ -60,20 +56,16 @@ def add_surfaces(vary: Variation) -> None:
                 choices[np.arange(len(top)), drawn["textures"].astype(np.intp)], copies
             )
         )
-    if vary.enable("table_colour", (1, 3), [TABLE]):
+    if vary.enable("table_colour", [TABLE], each=(3,)):
         add_colour(vary, "table_colour", [table])
 
 
-def _texture_names(vary: Variation) -> list[str]:
-    return [texture_name(i) for i in range(vary.ranges.textures)]
-
-
-def add_colour(vary: Variation, field: str, groups: Sequence[NDArray[np.intp]], *, flexes: bool = False) -> None:
+def add_colour(vary: Randomiser, field: str, groups: Sequence[NDArray[np.intp]], *, flexes: bool = False) -> None:
     """Shift the colours of groups of geoms or flexes, each group by the same amount."""
     members, group = np.concatenate(groups), owners(groups)
     if not len(members):
         return
-    rows = ModelRows(vary.world, "flex_rgba" if flexes else "geom_rgba", members)
+    rows = vary.rows("flex_rgba" if flexes else "geom_rgba", members)
     nominal = (rows.nominal if flexes else colours(vary.world, members)).astype(np.float64)
 
     def write(drawn: dict[str, Values], copies: Copies) -> None:
@@ -86,16 +78,16 @@ def add_colour(vary: Variation, field: str, groups: Sequence[NDArray[np.intp]], 
     vary.write_with(write)
 
 
-def add_cameras(vary: Variation, cameras: Sequence[CameraPlacement]) -> None:
+def add_cameras(vary: Randomiser, cameras: Sequence[CameraPlacement]) -> None:
     """Vary poses and fields of view of cameras."""
-    world, model = vary.world, vary.world.model
+    model = vary.world.model
     names = [camera.name for camera in cameras]
-    moves = [vary.enable(field, (len(cameras), 3), names) for field in ("camera_translation", "camera_rotation")]
+    moves = [vary.enable(field, names, each=(3,)) for field in ("camera_translation", "camera_rotation")]
     if any(moves):
         vary.changes_constants = True
         # Moves the camera's body, whose frame is the optical one, so that the housing never gets into the view.
         bodies = [model.body(f"{camera.name}/{camera.camera.base_body}").id for camera in cameras]
-        positions, quaternions = ModelRows(world, "body_pos", bodies), ModelRows(world, "body_quat", bodies)
+        positions, quaternions = vary.rows("body_pos", bodies), vary.rows("body_quat", bodies)
         nominal = np.concatenate([positions.nominal, wxyz_to_xyzw(quaternions.nominal)], axis=-1)
 
         def write_poses(drawn: dict[str, Values], copies: Copies) -> None:
@@ -105,9 +97,9 @@ def add_cameras(vary: Variation, cameras: Sequence[CameraPlacement]) -> None:
             quaternions.write(xyzw_to_wxyz(poses[..., 3:]), copies)
 
         vary.write_with(write_poses)
-    if vary.enable("field_of_view", (len(cameras),), names):
+    if vary.enable("field_of_view", names):
         ids = [model.camera(camera.camera_name).id for camera in cameras]
-        angles, intrinsics = ModelRows(world, "cam_fovy", ids), ModelRows(world, "cam_intrinsic", ids)
+        angles, intrinsics = vary.rows("cam_fovy", ids), vary.rows("cam_intrinsic", ids)
 
         def write_views(drawn: dict[str, Values], copies: Copies) -> None:
             factor = drawn["field_of_view"]

@@ -3,35 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.variation.looks import add_colour
-from rcs.envs.variation.variation import Values, Variation
-from rcs.sim.model_rows import ModelRows, ObjectParts, owners
+from rcs.sim.model_rows import ObjectParts, owners
 from rcs.sim.world import Copies
 
+if TYPE_CHECKING:  # the randomiser calls this module
+    from rcs.envs.variation.randomiser import Randomiser, Values
 
-def add_objects(vary: Variation, parts: Sequence[ObjectParts], names: Sequence[str]) -> None:
+
+def add_objects(vary: Randomiser, parts: Sequence[ObjectParts], names: Sequence[str]) -> None:
     """Vary colour, size and mass of objects."""
     coloured = [i for i, part in enumerate(parts) if len(part.geoms) or len(part.flexes)]
-    if vary.enable("object_colour", (len(coloured), 3), [names[i] for i in coloured]):
+    if vary.enable("object_colour", [names[i] for i in coloured], each=(3,)):
         add_colour(vary, "object_colour", [parts[i].geoms for i in coloured])
         add_colour(vary, "object_colour", [parts[i].flexes for i in coloured], flexes=True)
     scalable = [i for i, part in enumerate(parts) if part.is_scalable]
-    has_size = vary.enable("object_size", (len(scalable),), [names[i] for i in scalable])
-    has_mass = vary.enable("object_mass", (len(parts),), names)
-    if has_size:
-        _add_sizes(vary, [parts[i] for i in scalable])
+    has_size = _add_sizes(vary, [parts[i] for i in scalable], [names[i] for i in scalable])
+    has_mass = vary.enable("object_mass", names)
     if not (has_size or has_mass):
         return
     vary.changes_constants = True
     bodies = [part.bodies for part in parts]
     owner = owners(bodies)
-    masses = ModelRows(vary.world, "body_mass", np.concatenate(bodies)) if has_mass else None
-    inertias = ModelRows(vary.world, "body_inertia", np.concatenate(bodies))
+    masses = vary.rows("body_mass", np.concatenate(bodies)) if has_mass else None
+    inertias = vary.rows("body_inertia", np.concatenate(bodies))
 
     def write(drawn: dict[str, Values], copies: Copies) -> None:
         leading = drawn["object_mass" if has_mass else "object_size"].shape[:-1]
@@ -46,10 +47,10 @@ def add_objects(vary: Variation, parts: Sequence[ObjectParts], names: Sequence[s
     vary.write_with(write)
 
 
-def _add_sizes(vary: Variation, parts: Sequence[ObjectParts]) -> None:
-    """Scale shapes about the root's frame, including their bounds."""
+def _add_sizes(vary: Randomiser, parts: Sequence[ObjectParts], names: Sequence[str]) -> bool:
+    """Scale shapes about the root's frame, including their bounds; return whether sizes vary."""
     geoms = [part.geoms for part in parts]
-    fields = {
+    rows = {
         "geom_size": geoms,
         "geom_pos": geoms,
         "geom_rbound": geoms,
@@ -65,29 +66,21 @@ def _add_sizes(vary: Variation, parts: Sequence[ObjectParts]) -> None:
         # The material stays the same: forces grow with the area, strains fall with the length.
         "flex_stiffness": [part.stiffness for part in parts],
     }
-    scaled = [
-        (ModelRows(vary.world, field, np.concatenate(rows)), owners(rows))
-        for field, rows in fields.items()
-        if sum(map(len, rows))
-    ]
-
-    def write(drawn: dict[str, Values], copies: Copies) -> None:
-        for rows, owner in scaled:
-            rows.scale(drawn["object_size"][..., owner], copies)
-
-    vary.write_with(write)
+    if not vary.scale("object_size", names, rows):
+        return False
     nodes = [part.nodes for part in parts]
     if sum(map(len, nodes)):
         _add_nodes_at_rest(vary, parts, nodes)
+    return True
 
 
-def _add_nodes_at_rest(vary: Variation, parts: Sequence[ObjectParts], nodes: Sequence[NDArray[np.intp]]) -> None:
+def _add_nodes_at_rest(vary: Randomiser, parts: Sequence[ObjectParts], nodes: Sequence[NDArray[np.intp]]) -> None:
     """Scale where the nodes of soft bodies are when nothing pulls at them, which the model has in the scene."""
     at_rest = mujoco.MjData(vary.world.model)
     mujoco.mj_kinematics(vary.world.model, at_rest)
     owner = owners(nodes)
     center = at_rest.xpos[[part.root for part in parts]][owner]
-    rows = ModelRows(vary.world, "flex_node0", np.concatenate(nodes))
+    rows = vary.rows("flex_node0", np.concatenate(nodes))
     offset = rows.nominal - center
 
     def write(drawn: dict[str, Values], copies: Copies) -> None:
@@ -96,10 +89,10 @@ def _add_nodes_at_rest(vary: Variation, parts: Sequence[ObjectParts], nodes: Seq
     vary.write_with(write)
 
 
-def add_friction(vary: Variation, parts: Sequence[ObjectParts], names: Sequence[str]) -> None:
+def add_friction(vary: Randomiser, parts: Sequence[ObjectParts], names: Sequence[str]) -> None:
     """Vary friction: all of it by one factor, and that of each object by another one on top."""
     model = vary.world.model
-    has_all, has_own = vary.enable("friction", (1,)), vary.enable("object_friction", (len(parts),), names)
+    has_all, has_own = vary.enable("friction", ["all"]), vary.enable("object_friction", names)
     if not (has_all or has_own):
         return
     # The number of the object that geoms, flexes and pairs of geoms belong to; -1 for none.
@@ -108,7 +101,7 @@ def add_friction(vary: Variation, parts: Sequence[ObjectParts], names: Sequence[
         of_geom[part.geoms] = of_flex[part.flexes] = i
     of_pair = np.maximum(of_geom[model.pair_geom1], of_geom[model.pair_geom2])
     objects = {"geom_friction": of_geom, "flex_friction": of_flex, "pair_friction": of_pair}
-    rows = [(ModelRows(vary.world, field, np.arange(len(own))), own) for field, own in objects.items() if len(own)]
+    rows = [(vary.rows(field, np.arange(len(own))), own) for field, own in objects.items() if len(own)]
 
     def write(drawn: dict[str, Values], copies: Copies) -> None:
         leading = drawn["friction" if has_all else "object_friction"].shape[:-1]

@@ -6,27 +6,32 @@ episode, in streams separate from the task's: replays repeat them, and they do n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
+from rcs.envs.variation.fields import add_fields
 from rcs.envs.variation.looks import add_cameras, add_lights, add_surfaces
 from rcs.envs.variation.objects import add_friction, add_objects
 from rcs.envs.variation.robots import add_drives, add_latency, add_table
 from rcs.envs.variation.start import VariedStart
-from rcs.envs.variation.variation import Values, Variation
-from rcs.sim.model_rows import ObjectParts
+from rcs.sim.model_rows import ModelRows, ObjectParts, owners
 from rcs.sim.randomisation import Randomisation
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import CameraPlacement, RobotPlacement
 from rcs.sim.world import Copies, World
 
+Values = NDArray[np.float64]
+Write = Callable[[dict[str, Values], Copies], None]
+"""Writes the draws, by field, for some copies; None for all."""
+
 
 class Randomiser:
-    """Varies one world from episode to episode."""
+    """Varies one world from episode to episode: draws each field from a stream of its own and has it written."""
 
-    memory = ("_vary",)
+    memory = ("values",)
 
     def __init__(
         self,
@@ -48,47 +53,108 @@ class Randomiser:
 
         Raises:
             KeyError: An object is not in the model.
+            InvalidSetup: A field range names nothing in the model.
         """
-        self._vary = vary = Variation(world, ranges)
-        # First, since it looks at the nominal model.
-        self._start = VariedStart(vary, robots)
-        add_lights(vary)
-        add_surfaces(vary)
-        parts = [ObjectParts(world, name) for name in objects]
-        add_objects(vary, parts, objects)
-        add_friction(vary, parts, objects)
-        add_cameras(vary, cameras)
-        add_drives(vary, robots)
-        add_table(vary)
-        self._latency = add_latency(vary, robots)
-        names = [camera.name for camera in cameras]
-        vary.enable("frame_latency", (len(names),), names)
-
-    @property
-    def ranges(self) -> Randomisation:
-        """The ranges of the draws."""
-        return self._vary.ranges
-
-    @property
-    def names(self) -> dict[str, tuple[str, ...]]:
-        """What the rows of each field's values belong to, in order."""
-        return self._vary.names
-
-    @property
-    def values(self) -> dict[str, Values]:
+        self.world = world
+        self.ranges = ranges
+        self.changes_constants = False
+        """Whether constants that MuJoCo derives, such as from masses, are to be computed after writing."""
+        self.names: dict[str, tuple[str, ...]] = {}
+        """Names of the elements that the rows of each field's values belong to, in order."""
+        self.values: dict[str, Values] = {}
         """The draws of the present episodes, by field of `Randomisation`: (*leading, ...), replaced as a whole."""
-        return self._vary.values
+        self.written: dict[str, set[int]] = {}
+        """Rows that are written in every episode, by field of the model."""
+        self._bounds: dict[str, tuple[Values, Values]] = {}
+        self._finishes: dict[str, Callable[[Values], Values]] = {}
+        self._writes: list[Write] = []
+        self._begins: list[Callable[[EpisodeRandom, Copies], None]] = []
+        # First, since it looks at the nominal model.
+        self._start = VariedStart(self, robots)
+        add_lights(self)
+        add_surfaces(self)
+        parts = [ObjectParts(world, name) for name in objects]
+        add_objects(self, parts, objects)
+        add_friction(self, parts, objects)
+        add_cameras(self, cameras)
+        add_drives(self, robots)
+        add_table(self)
+        self._latency = add_latency(self, robots)
+        self.enable("frame_latency", [camera.name for camera in cameras])
+        add_fields(self)
+
+    def enable(
+        self,
+        field: str,
+        names: Sequence[str],
+        *,
+        each: tuple[int, ...] = (),
+        bounds: tuple[ArrayLike, ArrayLike] | None = None,
+        finish: Callable[[Values], Values] | None = None,
+    ) -> bool:
+        """Enable a field if its range has a width and there is something to vary; return whether.
+
+        Args:
+            field: A field of `Randomisation`, or the key of a field range.
+            names: Names of the elements that the rows of its values belong to.
+            each: Shape of the values of one element.
+            bounds: Bounds of the uniform draws; None for those of the field's range, in the shape of its values.
+            finish: Makes the values, (*leading, elements, *each), from the draws; None if they are the values.
+        """
+        shape = (len(names), *each)
+        if 0 in shape or (field in Randomisation.names() and not self.ranges.varies(field)):
+            return False
+        low, high = self.ranges.bounds(field) if bounds is None else bounds
+        drawn = shape if bounds is None else np.broadcast_shapes(np.shape(low), np.shape(high))
+        self._bounds[field] = np.full(drawn, low), np.full(drawn, high)
+        if finish is not None:
+            self._finishes[field] = finish
+        self.names[field] = tuple(names)
+        self.values[field] = np.zeros(self.world.leading + shape)
+        return True
+
+    def rows(self, field: str, rows: ArrayLike) -> ModelRows:
+        """Return rows of a field of the model, which are written in every episode from now on."""
+        found = ModelRows(self.world, field, rows)
+        self.written.setdefault(field, set()).update(map(int, found.rows))
+        return found
+
+    def write_with(self, write: Write) -> None:
+        """Have a function write the draws."""
+        self._writes.append(write)
+
+    def scale(self, field: str, names: Sequence[str], rows: Mapping[str, Sequence[ArrayLike]]) -> bool:
+        """Enable a field of factors and have them multiply rows of the model; return whether it varies.
+
+        Args:
+            field: A field of `Randomisation`.
+            names: Names of the elements, each with a factor of its own.
+            rows: The rows of each element, by field of the model.
+        """
+        if not self.enable(field, names):
+            return False
+        groups = {name: [np.asarray(one, np.intp) for one in own] for name, own in rows.items()}
+        scaled = [
+            (self.rows(name, np.concatenate(own)), owners(own)) for name, own in groups.items() if sum(map(len, own))
+        ]
+
+        def write(drawn: dict[str, Values], copies: Copies) -> None:
+            for values, owner in scaled:
+                values.scale(drawn[field][..., owner], copies)
+
+        self.write_with(write)
+        return True
 
     def by_name(self, field: str, names: Sequence[str]) -> dict[str, Values]:
         """Return a field's values by the names that they belong to, (*leading,) each; zeros if it does not vary."""
-        values, known = self._vary.values.get(field), self.names.get(field, ())
+        values, known = self.values.get(field), self.names.get(field, ())
         if values is None:
-            return dict.fromkeys(names, np.zeros(self._vary.world.leading))
+            return dict.fromkeys(names, np.zeros(self.world.leading))
         return {name: values[..., known.index(name)] for name in names}
 
     def begin_too(self, begin: Callable[[EpisodeRandom, Copies], None]) -> None:
         """Have something else started with the streams of each episode; it takes a branch of them."""
-        self._vary.begin_too(begin)
+        self._begins.append(begin)
 
     def begin(self, draws: EpisodeRandom, copies: Copies = None) -> None:
         """Draw and write the values of some copies' next episodes.
@@ -97,7 +163,26 @@ class Randomiser:
             draws: Random numbers for exactly these copies; they are not advanced.
             copies: Which copies; None for all.
         """
-        self._vary.begin(draws, copies)
+        streams = draws.branch("randomisation")
+        for begin in self._begins:
+            begin(streams, copies)
+        if not self._bounds:
+            return
+        drawn: dict[str, Values] = {}
+        for field, (low, high) in self._bounds.items():
+            uniform = streams.branch(field).uniform(low, high)
+            finish = self._finishes.get(field)
+            drawn[field] = uniform if finish is None else finish(uniform)
+        for write in self._writes:
+            write(drawn, copies)
+        if self.changes_constants:
+            self.world.update_constants(copies)
+        if copies is None:
+            self.values = drawn
+        else:
+            self.values = {field: values.copy() for field, values in self.values.items()}
+            for field, values in drawn.items():
+                self.values[field][copies] = values
 
     def place(self, robots: Sequence[SimRobot], copies: Copies = None) -> None:
         """Put the robots of some copies where their present episodes start, once the world is reset."""

@@ -1,43 +1,48 @@
-"""The robots, varied from episode to episode: drives, grippers, latency; and the height of the table."""
+"""The robots, varied from episode to episode: drives, grippers, latency; and the height of the table.
+
+MuJoCo's own history of controls delays actions. It is part of the state, so a state has what is still on its way.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from rcs.envs.variation.variation import Values, Variation
-from rcs.sim.action_latency import ActionLatency
 from rcs.sim.layout import RobotLayout
-from rcs.sim.model_rows import ModelRows
 from rcs.sim.scene import TABLE, RobotPlacement
 from rcs.sim.world import Copies
 
+if TYPE_CHECKING:  # the randomiser calls this module
+    from rcs.envs.variation.randomiser import Randomiser, Values
 
-def add_drives(vary: Variation, robots: Sequence[RobotPlacement]) -> None:
+
+def add_drives(vary: Randomiser, robots: Sequence[RobotPlacement]) -> None:
     """Vary damping of joints, gains of the arms' servos, and the force of end effectors."""
     world, model = vary.world, vary.world.model
     is_robots = np.zeros(model.nbody, np.bool_)
     for robot in robots:
         is_robots |= world.subtree(robot.base_body)
     dofs = np.flatnonzero(is_robots[model.dof_bodyid] & (model.dof_damping > 0))
-    if vary.enable("joint_damping", (len(dofs),), [model.joint(model.dof_jntid[i]).name for i in dofs]):
-        dampings = ModelRows(world, "dof_damping", dofs)
-        vary.write_with(lambda drawn, copies: dampings.scale(drawn["joint_damping"], copies))
+    vary.scale(
+        "joint_damping", [model.joint(model.dof_jntid[i]).name for i in dofs], {"dof_damping": [[i] for i in dofs]}
+    )
     layouts = [RobotLayout.of(robot, model) for robot in robots]
     servos = [i for layout in layouts for i in layout.actuator_ids]
     _add_servos(vary, [i for i in servos if model.actuator_biastype[i] != mujoco.mjtBias.mjBIAS_NONE])
     _add_grippers(vary, [robot.name for robot in robots], layouts)
 
 
-def _add_servos(vary: Variation, servos: Sequence[int]) -> None:
+def _add_servos(vary: Randomiser, servos: Sequence[int]) -> None:
     names = [vary.world.model.actuator(i).name for i in servos]
-    fields = [field for field in ("servo_stiffness", "servo_damping") if vary.enable(field, (len(servos),), names)]
+    fields = [field for field in ("servo_stiffness", "servo_damping") if vary.enable(field, names)]
     if not fields:
         return
     # A servo's force is gainprm[0] * target + biasprm[1] * position + biasprm[2] * velocity.
-    gains, biases = (ModelRows(vary.world, f"actuator_{kind}prm", servos) for kind in ("gain", "bias"))
+    gains, biases = (vary.rows(f"actuator_{kind}prm", servos) for kind in ("gain", "bias"))
 
     def write(drawn: dict[str, Values], copies: Copies) -> None:
         one = np.ones_like(drawn[fields[0]])
@@ -53,45 +58,26 @@ def _add_servos(vary: Variation, servos: Sequence[int]) -> None:
     vary.write_with(write)
 
 
-def _add_grippers(vary: Variation, robots: Sequence[str], layouts: Sequence[RobotLayout]) -> None:
+def _add_grippers(vary: Randomiser, robots: Sequence[str], layouts: Sequence[RobotLayout]) -> None:
     model = vary.world.model
     drives = [[*one.hand_actuator_ids, *([one.finger_actuator] if one.finger_actuator >= 0 else [])] for one in layouts]
     moved = [i for i, own in enumerate(drives) if own]
-    if not vary.enable("gripper_force", (len(moved),), [robots[i] for i in moved]):
-        return
     rows = {
-        field: [drives[i] for i in moved] for field in ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
+        name: [drives[i] for i in moved] for name in ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
     }
-    rows["jnt_actfrcrange"] = [
-        [
-            joint
-            for joint in (*layouts[i].finger_joint_ids, *layouts[i].hand_joint_ids)
-            if model.jnt_actfrclimited[joint]
-        ]
-        for i in moved
-    ]
-    scaled = [
-        (ModelRows(vary.world, field, np.concatenate(own).astype(np.intp)),
-         np.repeat(np.arange(len(own)), [len(one) for one in own]))
-        for field, own in rows.items()
-    ]  # fmt: skip
-
-    def write(drawn: dict[str, Values], copies: Copies) -> None:
-        for values, owner in scaled:
-            if len(owner):
-                values.scale(drawn["gripper_force"][..., owner], copies)
-
-    vary.write_with(write)
+    joints = [(*layouts[i].finger_joint_ids, *layouts[i].hand_joint_ids) for i in moved]
+    rows["jnt_actfrcrange"] = [[joint for joint in own if model.jnt_actfrclimited[joint]] for own in joints]
+    vary.scale("gripper_force", [robots[i] for i in moved], rows)
 
 
-def add_table(vary: Variation) -> None:
+def add_table(vary: Randomiser) -> None:
     """Vary the height of the table; tasks put their objects on it."""
     world = vary.world
     table = mujoco.mj_name2id(world.model, mujoco.mjtObj.mjOBJ_BODY, TABLE)
-    if table < 0 or not vary.enable("table_height", (1,), [TABLE]):
+    if table < 0 or not vary.enable("table_height", [TABLE]):
         return
     vary.changes_constants = True
-    rows = ModelRows(world, "body_pos", [table])
+    rows = vary.rows("body_pos", [table])
 
     def write(drawn: dict[str, Values], copies: Copies) -> None:
         height = drawn["table_height"]
@@ -100,11 +86,83 @@ def add_table(vary: Variation) -> None:
     vary.write_with(write)
 
 
-def add_latency(vary: Variation, robots: Sequence[RobotPlacement]) -> ActionLatency | None:
+def add_latency(vary: Randomiser, robots: Sequence[RobotPlacement]) -> ActionLatency | None:
     """Vary the latency of actions, the same for all robots; return what delays them."""
     if not vary.ranges.varies("action_latency") or not robots:
         return None
-    latency = ActionLatency(vary.world, robots)
-    vary.enable("action_latency", (1,), ["all robots"], finish=latency.whole_steps)
+    latency = ActionLatency(vary, robots)
+    vary.enable("action_latency", ["all robots"], finish=latency.whole_steps)
     vary.write_with(lambda drawn, copies: latency.write(drawn["action_latency"], copies))
     return latency
+
+
+def keep_history(spec: mujoco.MjSpec, robots: Sequence[RobotPlacement], longest: float) -> None:
+    """Make room for late controls of robots in a scene, before it is compiled.
+
+    Args:
+        spec: The scene.
+        robots: Its robots.
+        longest: Longest latency [s].
+    """
+    samples = int(np.ceil(longest / spec.option.timestep)) + 2
+    for robot in robots:
+        effector: tuple[str, ...] = ()
+        if robot.gripper is not None:
+            effector = (robot.gripper.actuator,)
+        elif robot.hand is not None:
+            effector = robot.hand.actuators
+        names = [robot.prefix + name for name in robot.arm.actuators]
+        for name in [*names, *(robot.gripper_prefix + name for name in effector)]:
+            spec.actuator(name).nsample = samples
+
+
+class ActionLatency:
+    """The latency of all robots of a world; with one of 0, servos get their targets at once."""
+
+    def __init__(self, vary: Randomiser, robots: Sequence[RobotPlacement]) -> None:
+        """Look the robots up in a world whose scene was given to `keep_history`."""
+        world, model = vary.world, vary.world.model
+        layouts = [RobotLayout.of(robot, model) for robot in robots]
+        arms = [i for one in layouts for i in (*one.actuator_ids, *one.hand_actuator_ids)]
+        self._ids = [*arms, *(one.finger_actuator for one in layouts if one.finger_actuator >= 0)]
+        self._world = world
+        self._step = float(model.opt.timestep)
+        self._delays = vary.rows("actuator_delay", self._ids)
+        # Where the history of each actuator has its values, which lie among the times of when they were given.
+        self._slots = [_slots(model, i) for i in self._ids]
+
+    def whole_steps(self, latency: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the nearest latencies that are whole physics steps [s]."""
+        return np.round(latency / self._step) * self._step
+
+    def write(self, latency: NDArray[np.float64], copies: Copies = None) -> None:
+        """Set the latency of some copies [s], in whole physics steps, (*leading of these, 1)."""
+        # Half a step less, since MuJoCo rounds up, and times that are sums of steps are not exact.
+        delay = np.maximum(latency - 0.5 * self._step, 0.0)
+        self._delays.write(np.broadcast_to(delay, (*delay.shape[:-1], len(self._ids))), copies)
+
+    def settle(self, copies: Copies = None) -> None:
+        """Make the present controls of some copies those that were always given."""
+        ctrl = self._world.ctrl
+        history = self._history()
+        for actuator, slots in zip(self._ids, self._slots, strict=True):
+            if copies is None:
+                history[..., slots] = ctrl[..., actuator, None]
+            else:
+                history[np.ix_(copies, slots)] = ctrl[copies, actuator, None]
+
+    def _history(self) -> NDArray[np.float64]:
+        if self._world.data is not None:
+            return self._world.data.history
+        return self._world.core.component(mujoco.mjtState.mjSTATE_HISTORY.value)
+
+
+def _slots(model: mujoco.MjModel, actuator: int) -> NDArray[np.intp]:
+    """Return where in the history of a state the values of an actuator are: where other values make a difference."""
+    data = mujoco.MjData(model)
+    samples = int(model.actuator_history[actuator, 0])
+    filled: list[NDArray[np.float64]] = []
+    for value in (1.0, 2.0):
+        mujoco.mj_initCtrlHistory(model, data, actuator, None, np.full((samples, 1), value))
+        filled.append(np.array(data.history))
+    return np.flatnonzero(filled[0] != filled[1])

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.variation.variation import Values, Variation
 from rcs.sim.layout import RobotLayout
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import TABLE, RobotPlacement
 from rcs.sim.world import Copies
+
+if TYPE_CHECKING:  # the randomiser calls this module
+    from rcs.envs.variation.randomiser import Randomiser, Values
 
 TRIES = 16
 """Deviations that are drawn for each start; the first one without a collision counts, or home."""
@@ -24,7 +27,7 @@ CLEARANCES = (0.10, 0.08, 0.06, 0.04, 0.02, 0.0)
 class VariedStart:
     """Draws starts of all robots of a world, and puts robots there."""
 
-    def __init__(self, vary: Variation, robots: Sequence[RobotPlacement]) -> None:
+    def __init__(self, vary: Randomiser, robots: Sequence[RobotPlacement]) -> None:
         """Enable the fields of a robot's start, if their ranges have a width."""
         self._vary = vary
         arms = [robot.arm for robot in robots]
@@ -37,9 +40,9 @@ class VariedStart:
             low = np.maximum(np.concatenate([arm.joint_lower for arm in arms]) - home, -most)
             high = np.minimum(np.concatenate([arm.joint_upper for arm in arms]) - home, most)
             draws = np.tile(low, (TRIES, 1)), np.tile(high, (TRIES, 1))
-            vary.enable("robot_start", (len(joints),), joints, draws=draws, finish=free.first)
+            vary.enable("robot_start", joints, bounds=draws, finish=free.first)
         self._jaws = [robot.name for robot in robots if robot.gripper is not None]
-        vary.enable("gripper_opening", (len(self._jaws),), self._jaws)
+        vary.enable("gripper_opening", self._jaws)
 
     def place(self, robots: Sequence[SimRobot], copies: Copies = None) -> None:
         """Put the robots of some copies where their present episodes start, by writing the state."""
@@ -68,7 +71,7 @@ class _FreeSpace:
     So it depends on the deviation alone, whatever else varies.
     """
 
-    def __init__(self, vary: Variation, robots: Sequence[RobotPlacement]) -> None:
+    def __init__(self, vary: Randomiser, robots: Sequence[RobotPlacement]) -> None:
         world = vary.world
         self._model = copy.copy(world.model)
         self._data = mujoco.MjData(self._model)

@@ -1,4 +1,4 @@
-"""Simulated arms that give way to a push: servos become springs and dampers of joints, or motors for those of a TCP."""
+"""Changes to a robot's model in a scene: servos that give way to a push, and a body that carries a load."""
 
 from __future__ import annotations
 
@@ -8,10 +8,17 @@ import mujoco
 import numpy as np
 
 from rcs._core import Springs
+from rcs.kinematics.chain import flange_frame
 from rcs.kinematics.damping import damped
+from rcs.robots.description import ArmDescription
 
 if TYPE_CHECKING:  # a scene has its arms give way
     from rcs.sim.scene import RobotPlacement
+
+LOAD = "load"
+"""Name of the body at a robot's flange that carries the compensation of a load (`SimRobot.set_load`)."""
+LOAD_MASS = 1e-6
+"""Its mass [kg], too small for anything else to notice."""
 
 
 def give_way(spec: mujoco.MjSpec, robot: RobotPlacement) -> None:
@@ -45,3 +52,17 @@ def springs_of(robot: RobotPlacement, tcp_site: int, base_body: int) -> Springs 
     if not robot.compliance.is_of_tcp:
         return Springs()
     return Springs(*damped(robot.compliance, robot.arm, robot.end_effector).gains, tcp_site, base_body)
+
+
+def add_load(spec: mujoco.MjSpec, arm: ArmDescription) -> None:
+    """Add the body of `SimRobot.set_load` to a flange: MuJoCo compensates gravity in proportion to a body's mass."""
+    flange = flange_frame(spec, arm)
+    flange.parent.add_body(
+        name=LOAD,
+        mass=LOAD_MASS,
+        # Not in the origin: there MuJoCo takes the centre of mass for that of the frame, whatever is written later.
+        ipos=[0.0, 0.0, 1e-3],
+        inertia=[1e-12] * 3,
+        explicitinertial=True,
+        gravcomp=1.0,
+    ).set_frame(flange)
