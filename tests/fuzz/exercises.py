@@ -19,7 +19,7 @@ from rcs_data.cli.recover import RecoverCommand
 from rcs_data.cli.view import ViewCommand
 from rcs_data.view import write_report
 
-from rcs.rollout.look import physics_of
+from rcs.rollout.recorded_setup import physics_of
 
 Exercise = Callable[[Path, Path], object]
 

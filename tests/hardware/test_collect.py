@@ -13,8 +13,7 @@ import rcs
 from rcs.errors import DeviceFault
 from rcs.hardware import DeviceAddress
 from rcs.rollout import Collection, Progress, collect
-from rcs.rollout.derive import derive
-from rcs.rollout.real_to_sim import RealToSim
+from rcs.rollout.real_to_sim import real_to_sim
 from rcs.virtual import VirtualProcess
 
 pytestmark = pytest.mark.hardware
@@ -44,7 +43,7 @@ def test_cuboids_are_picked_recorded_at_30_hz_and_picked_again_in_simulation(tmp
         periods = np.diff(episode.column("time/monotonic"))
         assert np.median(periods) == pytest.approx(1 / 30, rel=0.02)
         assert episode.outcome["objects"]["cuboid"]
-    results = list(derive(RealToSim(source=tmp_path / "real", out=tmp_path / "simulated")))
+    results = list(real_to_sim(tmp_path / "real", tmp_path / "simulated"))
     assert [result.success for result in results] == [True, True]
 
 

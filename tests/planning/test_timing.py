@@ -7,7 +7,8 @@ import pytest
 
 from rcs._core import LineProfile
 from rcs.errors import InvalidSetup
-from rcs.planning import JointLimits, Path, TimedPath, time_path
+from rcs.planning import JointLimits, Path, TimedPath, minimum_jerk, time_path
+from rcs.planning.timing import MINIMUM_JERK_PEAK
 from rcs.robots import FR3
 
 LIMITS = JointLimits.of(FR3)
@@ -121,3 +122,14 @@ def test_the_fastest_speed_over_a_distance_is_reached_and_a_higher_one_is_not() 
     LineProfile(0.2, 0.3, fastest, **limits)
     with pytest.raises(InvalidSetup, match="too short"):
         LineProfile(0.2, 0.3, 1.02 * fastest, **limits)
+
+
+def test_the_least_jerk_leads_from_rest_to_rest_with_its_peak_in_the_middle() -> None:
+    times = np.linspace(-0.2, 1.2, 14001)
+    way = minimum_jerk(times)
+    assert (way[times <= 0.0] == 0.0).all()
+    np.testing.assert_allclose(way[times >= 1.0], 1.0, atol=1e-12)
+    speed = np.gradient(way, times)
+    assert speed.max() == pytest.approx(MINIMUM_JERK_PEAK, rel=1e-4)
+    assert times[speed.argmax()] == pytest.approx(0.5, abs=1e-3)
+    np.testing.assert_allclose(way + minimum_jerk(1.0 - times), 1.0, atol=1e-12)

@@ -12,8 +12,7 @@ import pytest
 
 from rcs.errors import InvalidSetup
 from rcs.rl.seeds import Trained, _Work, run_of, train_seeds
-from rcs.rollout.parcel import Courier
-from rcs.rollout.ray_pool import Tally
+from rcs.rollout.remote_files import FileWorker, write_files
 
 Weights = Callable[[Path], dict[str, Any]]
 
@@ -27,10 +26,10 @@ def test_seeds_on_a_cluster_have_the_weights_of_trainings_alone(
     small: Any, weights: Weights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # as in other tests: a process keeps the first that Ray has read
-    training, tally = small.training(episodes=0), Tally()
+    training = small.training(episodes=0)
     small.run(replace(training, seed=3), run_of(tmp_path / "seeds", 3), updates=4)  # as a kill leaves it
-    runs = {one.seed: one for one in train_seeds(training, (0, 3), tmp_path / "seeds", videos=False, tally=tally)}
-    assert set(runs) == {0, 3} and tally.workers == 2
+    runs = {one.seed: one for one in train_seeds(training, (0, 3), tmp_path / "seeds", videos=False)}
+    assert set(runs) == {0, 3}
     for seed in (0, 3):
         assert runs[seed].run == tmp_path / "seeds" / f"seed-{seed}" and runs[seed].steps == 160
         small.run(replace(training, seed=seed), tmp_path / f"alone-{seed}")
@@ -42,11 +41,11 @@ def test_seeds_on_a_cluster_have_the_weights_of_trainings_alone(
 def test_a_machine_that_does_not_see_the_folder_sends_its_run(small: Any, weights: Weights, tmp_path: Path) -> None:
     training = small.training(episodes=0)
     worker = _Work(training, tmp_path / "elsewhere", tmp_path / "no-sign", 1, False)()
-    assert isinstance(worker, Courier)
-    parcel = worker.attempt(5)
+    assert isinstance(worker, FileWorker)
+    trained, files = worker.attempt(5)
     worker.close()
-    parcel.unpack(tmp_path / "here")
-    assert isinstance(parcel.result, Trained) and not (tmp_path / "elsewhere").exists()
+    write_files(files, tmp_path / "here")
+    assert isinstance(trained, Trained) and not (tmp_path / "elsewhere").exists()
     small.run(replace(training, seed=5), tmp_path / "alone")
     assert same(weights(run_of(tmp_path / "here", 5)), weights(tmp_path / "alone"))
 

@@ -14,7 +14,7 @@ from rcs.errors import InvalidSetup, MissingDependency
 from rcs.rollout.cluster import connected
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.evaluate import Evaluation, evaluate
-from rcs.rollout.ray_pool import RayPool, Tally
+from rcs.rollout.ray_pool import ClusterUsage, RayPool
 
 IMPORTS = (
     "import sys, rcs.rollout.collect, rcs.rollout.evaluate, rcs.cli.collect, rcs.cli.eval; print('ray' in sys.modules)"
@@ -61,9 +61,9 @@ def test_one_does_not_watch_on_a_cluster(tmp_path: Path, capsys: pytest.CaptureF
     assert "--viewer without --ray" in capsys.readouterr().err
 
 
-def test_a_tally_says_where_and_what_was_lost() -> None:
-    assert str(Tally(workers=2, machines={"a"})) == "2 on 1 machine"
-    assert str(Tally(workers=8, machines={"a", "b"}, lost=1)) == "8 on 2 machines, 1 lost and made again"
+def test_usage_in_words_counts_workers_and_machines() -> None:
+    assert str(ClusterUsage(workers=2, machines={"a"})) == "2 on 1 machine"
+    assert str(ClusterUsage(workers=8, machines={"a", "b"})) == "8 on 2 machines"
 
 
 def test_an_address_of_ray_client_is_refused() -> None:

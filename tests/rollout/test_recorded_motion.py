@@ -1,4 +1,4 @@
-"""What a gripper is told, from the openings that were measured."""
+"""Commands of a gripper from measured openings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rcs.rollout.recorded_motion import BARELY_CLOSED, SQUEEZE, TREND, squeezed, trend
+from rcs.rollout.recorded_motion import BARELY_CLOSED, SQUEEZE, THRESHOLD, squeezed, trend
 
 OPENINGS = st.lists(st.floats(0.0, 1.0), min_size=2, max_size=40).map(lambda values: np.array(values)[:, None])
 
@@ -23,7 +23,7 @@ def test_a_grasp_is_closed_from_its_first_move_to_its_release() -> None:
 @given(OPENINGS, st.integers(0, 2**31))
 def test_noise_below_the_threshold_tells_nothing(openings: np.ndarray, seed: int) -> None:
     still = np.broadcast_to(openings[:1], (50, 1))
-    noisy = still + np.random.default_rng(seed).uniform(-TREND / 2, TREND / 2, still.shape) * 0.99
+    noisy = still + np.random.default_rng(seed).uniform(-THRESHOLD / 2, THRESHOLD / 2, still.shape) * 0.99
     assert len(set(trend(noisy)[:, 0])) == 1
 
 

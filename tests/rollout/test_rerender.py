@@ -1,4 +1,4 @@
-"""Drawing recorded states anew: only frames change, and they do not when nothing else is asked for."""
+"""Rendering recorded states again: only frames change, and without options not even they."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from rcs_data import Dataset, EpisodeRecord, compare_steps
 import rcs
 from rcs.errors import DatasetError, InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
-from rcs.rollout.derive import derive
-from rcs.rollout.look import Look, physics_of, setup_of
+from rcs.rollout.recorded_setup import physics_of, setup_of
 from rcs.rollout.replay import replay
-from rcs.rollout.rerender import Rerendering, is_of_camera
+from rcs.rollout.replay_scene import Appearance
+from rcs.rollout.rerender import is_of_camera, rerender
 
 pytestmark = pytest.mark.gl
 
@@ -35,8 +35,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recorded(tmp_path_factory.mktemp("rerender") / "dataset")
 
 
-def run(source: Path, out: Path, workers: int = 1, **look: Any) -> Dataset:
-    list(derive(Rerendering(source=source, out=out, look=Look(**look), workers=workers)))
+def run(source: Path, out: Path, workers: int = 1, **appearance: Any) -> Dataset:
+    list(rerender(source, out, appearance=Appearance(**appearance), workers=workers))
     return Dataset.open(out)
 
 
@@ -183,7 +183,7 @@ def test_a_folder_that_is_taken_stays_as_it_is_and_a_failure_leaves_nothing(data
 
 
 def test_a_replay_that_is_stopped_leaves_nothing(dataset: Path, tmp_path: Path) -> None:
-    results = derive(Rerendering(source=dataset, out=tmp_path / "out"))
+    results = rerender(dataset, tmp_path / "out")
     next(results)
     results.close()  # pyright: ignore[reportAttributeAccessIssue]  it is a generator
     assert list(tmp_path.iterdir()) == []

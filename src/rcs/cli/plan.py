@@ -42,7 +42,7 @@ class PlanCommand(SetupOptions):
     start: tuple[float, ...] | None = None
     """Joints of the start [rad]; by default where the robot is."""
     planner: str = "RRTConnect"
-    """PRM, RRT, RRTConnect, RRTstar, EST, FMT, BITstar, or another geometric planner of OMPL."""
+    """RRT, RRTConnect, RRTstar, FMT, BITstar, or another geometric planner of OMPL; EST needs no extra."""
     margin: float = 0.005
     """Distance to keep from everything [m]."""
     speed: float = 1.0

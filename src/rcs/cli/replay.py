@@ -1,46 +1,44 @@
-"""`rcs data replay`: replay recorded episodes in simulation: compare, draw, execute or follow them."""
+"""`rcs data replay`: replay recorded episodes in simulation: compare, render, execute or follow them."""
 
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import json
-import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from datetime import timedelta
-from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import tyro
-from numpy.typing import NDArray
 from rcs_data import Dataset
 from rcs_data.cli.console import plain_console
 from rich.console import Console
-from rich.progress import Progress, track
+from rich.progress import track
 from rich.table import Table
 
-from rcs.envs.setup import RelativeTo
-from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
-from rcs.rollout.derive import Derivation, derive, row_counter
-from rcs.rollout.divergence import Tolerance
-from rcs.rollout.look import Look
-from rcs.rollout.real_to_sim import Keep, RealToSim, RealToSimResult
-from rcs.rollout.recorded_motion import GripperFrom
-from rcs.rollout.reexecute import Reexecution, ReexecutionResult
+from rcs.rollout.real_to_sim import Keep, real_to_sim
+from rcs.rollout.reexecute import ReexecutionResult, reexecute
 from rcs.rollout.replay import replay
-from rcs.rollout.rerender import Rerendering
+from rcs.rollout.replay_scene import Appearance
+from rcs.rollout.rerender import rerender
 
 Kind = Literal["check", "render", "actions", "states"]
 
-JOBS: dict[Kind, type[Derivation]] = {"render": Rerendering, "actions": Reexecution, "states": RealToSim}
-"""The kinds that make a dataset, with their jobs; each has the options of its job."""
-PATIENCE = 30.0
-"""Interval of progress lines where no bar can be drawn [s]."""
+REPLAYS: dict[Kind, Callable[..., Iterator[Any]]] = {
+    "check": replay,
+    "render": rerender,
+    "actions": reexecute,
+    "states": real_to_sim,
+}
+"""What each kind calls, with the options of the command that are its arguments."""
 WIDTH = 116
 """Width of the widest table [columns]."""
+MILLI = {"joints": "joints [mrad]", "position": "TCP [mm]", "rotation": "TCP [mrad]", "object_position": "object [mm]",
+         "object_rotation": "object [mrad]"}  # fmt: skip
+"""Heads of the columns of deviations."""
 
 
 @dataclass(kw_only=True)
@@ -48,9 +46,9 @@ class ReplayCommand:
     """Replay every episode in simulation.
 
     `check` plays the recorded actions and compares all states bit for bit; exit code 1 if one differs. The other kinds
-    make a new dataset: `render` restores the recorded states and draws new frames; `actions` executes the recorded
-    actions again, in another control mode if given, and measures the divergence; `states` makes a simulated robot
-    follow the recorded one, real or not, and keeps the successes.
+    make a new dataset: `render` restores the recorded states and renders new frames; `actions` executes the recorded
+    actions again and measures the deviation; `states` makes a simulated robot follow the recorded one, real or not, and
+    keeps the successes.
     """
 
     path: tyro.conf.Positional[Path]
@@ -65,206 +63,108 @@ class ReplayCommand:
     """Print JSON instead of a table."""
     trust: tuple[str, ...] = ()
     """Modules that may be imported because the dataset's setup names them, such as `my_tasks`."""
-    control: Control | None = None
-    """actions: control mode of the new actions; None for the recorded one."""
-    relative: RelativeTo | None = None
-    """actions: reference of the new actions; None for absolute ones if `control` is given, else for the recorded
-    one."""
     grace: float = 1.0
-    """actions, states: how long to hold the end if the task is not done yet [s]."""
+    """states: how long to hold the end if the task is not done yet [s]."""
     task: str | None = None
     """states: the task that judges; None for that of the dataset's setup."""
     robot: str | None = None
     """states: the robot; None for that of the dataset's setup."""
-    frequency: float | None = None
-    """states: control steps per second of the simulation [Hz]; None for that of the setup."""
     objects: Path | None = None
     """states: JSON file with the objects' poses, {episode: {name: [x, y, z, qx, qy, qz, qw]}} in the base frame; None
     for those in the outcome's `objects`."""
     state: str | None = None
     """states: feature with joints, then gripper or hand, such as `observation/state` in foreign datasets; None for one
     feature each."""
-    lookahead: float = 0.0
-    """states: lead of targets over the recorded joints [s]."""
-    gripper: GripperFrom | None = None
-    """states: what grippers follow: whether the recorded opening grows or shrinks (`trend`), the opening itself
-    (`opening`), or the recorded command (`command`)."""
     keep: Keep = "successes"
     """states: episodes to keep in the new dataset."""
-    look: Look = field(default_factory=Look)
-    tolerance: Tolerance = field(default_factory=Tolerance)
+    appearance: Appearance = field(default_factory=Appearance)
 
     def run(self) -> int:
         """Replay, print the results and return the exit code."""
-        self._check_options()
-        told = plain_console()
+        options = self._options()
+        console = plain_console()
+        progress = plain_console(stderr=True, soft_wrap=False) if self.json else console
         started = time.perf_counter()
-        results = self._replay(plain_console(stderr=True, soft_wrap=False) if self.json else told)
+        total = len(Dataset.open(self.path))
+        episodes = track(REPLAYS[self.kind](self.path, **options), "Replaying", total=total, console=progress)
+        results = sorted(episodes, key=lambda result: result.episode_id)
         seconds = time.perf_counter() - started
         if self.json:
-            told.out(json.dumps(self._as_json(results, seconds), indent=1))
+            values = {"kind": self.kind, "dataset": str(self.path), "seconds": seconds}
+            console.out(json.dumps({**values, "episodes": [result.to_json() for result in results]}, indent=1))
         else:
-            self._tell(results, seconds, told)
+            self._print(results, seconds, console)
         return 1 if self.kind == "check" and not all(result.is_equal for result in results) else 0
 
-    def _check_options(self) -> None:
+    def _options(self) -> dict[str, Any]:
+        """Return the arguments of this kind of replay.
+
+        Raises:
+            InvalidSetup: An option was given that belongs to another kind, or `--out` is missing.
+        """
         if self.kind != "check" and self.out is None:
             raise InvalidSetup(f"--kind {self.kind} makes a dataset; give its folder with --out.")
-        valid = {kind: {option.name for option in dataclasses.fields(job)} for kind, job in JOBS.items()}
+        takes = {kind: set(inspect.signature(function).parameters) for kind, function in REPLAYS.items()}
         for option in dataclasses.fields(self):
             given, default = getattr(self, option.name), _default(option)
-            kinds = [kind for kind, names in valid.items() if option.name in names]
-            if option.name in ("path", "kind", "json", "trust") or self.kind in kinds or given == default:
+            if option.name in ("path", "kind", "json") or option.name in takes[self.kind] or given == default:
                 continue
             changed = [option.name]
-            if dataclasses.is_dataclass(given):
+            if isinstance(given, Appearance):
                 parts = [part.name for part in dataclasses.fields(given)]
                 changed = [part for part in parts if getattr(given, part) != getattr(default, part)]
-            options = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
-            raise InvalidSetup(f"{options} has no meaning for --kind {self.kind}; valid for {', '.join(kinds)}.")
+            names = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+            kinds = ", ".join(kind for kind, names in takes.items() if option.name in names)
+            raise InvalidSetup(f"{names} has no meaning for --kind {self.kind}; valid for {kinds}.")
+        return {name: getattr(self, name) for name in takes[self.kind] if name not in ("path", "source")}
 
-    def _replay(self, console: Console) -> list[Any]:
-        """Replay all episodes, showing progress and the time left."""
-        dataset = Dataset.open(self.path)
+    def _print(self, results: Sequence[Any], seconds: float, console: Console) -> None:
         if self.kind == "check":
-            return list(track(replay(self.path, trust=self.trust), "Replaying", total=len(dataset), console=console))
-        job = JOBS[self.kind]
-        options = {
-            option.name: getattr(self, option.name) for option in dataclasses.fields(job) if option.name != "source"
-        }
-        rows = row_counter()
-        total = sum(episode.length for episode in dataset.episodes)
-        with _Progress(rows, total, console):
-            return list(derive(job(source=self.path, **options), rows))
-
-    def _as_json(self, results: list[Any], seconds: float) -> dict[str, Any]:
-        values: dict[str, Any] = {"kind": self.kind, "dataset": str(self.path), "seconds": seconds}
-        if self.out is not None:
-            values["out"] = str(self.out)
-        ordered = sorted(results, key=lambda result: result.episode_id)
-        if self.kind == "check":
-            values["equal"] = sum(result.is_equal for result in ordered)
-        elif self.kind != "render":
-            values["successes"] = sum(result.success for result in ordered)
-        if self.kind == "actions":
-            return {**values, "episodes": [result.to_json(with_rows=True) for result in ordered]}
-        if self.kind == "states":
-            return {**values, "episodes": [result.to_json() for result in ordered]}
-        return {**values, "episodes": [dataclasses.asdict(result) for result in ordered]}
-
-    def _tell(self, results: list[Any], seconds: float, console: Console) -> None:
-        ordered = sorted(results, key=lambda result: result.episode_id)
-        if self.kind == "check":
-            for result in ordered:
+            for result in results:
                 if not result.is_equal:
                     why = "" if result.begins_at_reset else "; it does not begin at a reset, as after a trim"
-                    console.print(
-                        f"episode {result.episode_id}: state {result.first_difference} differs{why}", highlight=False
-                    )
-            steps, equal = sum(result.steps for result in ordered), sum(result.is_equal for result in ordered)
-            told = f"{equal} of {len(ordered)} episodes bit-equal ({steps} steps in {seconds:.1f} s)"
+                    line = f"episode {result.episode_id}: state {result.first_difference} differs{why}"
+                    console.print(line, highlight=False)
+            steps, equal = sum(result.steps for result in results), sum(result.is_equal for result in results)
+            console.print(f"{equal} of {len(results)} episodes bit-equal ({steps} steps in {seconds:.1f} s)")
         elif self.kind == "render":
-            rows = sum(result.rows for result in ordered)
-            told = f"{len(ordered)} episodes drawn ({rows} rows in {seconds:.1f} s, {rows / seconds:.0f}/s)"
-        elif self.kind == "actions":
-            _print_wide(divergence_table(ordered), console)
-            good = sum(result.success for result in ordered)
-            within = sum(result.first_beyond is None for result in ordered)
-            before = sum(result.recorded_success is True for result in ordered)
-            told = f"{good} of {len(ordered)} succeed ({before} as recorded), {within} stay within the tolerance"
+            rows = sum(result.rows for result in results)
+            console.print(f"{len(results)} episodes rendered ({rows} rows in {seconds:.1f} s, {rows / seconds:.0f}/s)")
         else:
-            _print_wide(success_table(ordered), console)
-            told = _count(ordered)
-        console.print(told)
+            plain_console(width=max(console.width, WIDTH)).print(results_table(results))  # in full
+            console.print(summary(results))
         if self.out is not None:
             console.print(f"Dataset: {self.out}")
 
 
-class _Progress(Progress):
-    """A bar of the rows that worker processes count; a line now and then where no bar can be drawn."""
+def results_table(results: Sequence[ReexecutionResult]) -> Table:
+    """Return a table with success and deviations of every episode."""
+    heads = [head for name, head in MILLI.items() if any(name in result.errors for result in results)]
+    names = [name for name, head in MILLI.items() if head in heads]
+    table = Table("episode", "steps", "success", *heads, "problem", box=None, pad_edge=False)
+    words = {True: "yes", False: "no", None: "?"}
+    for result in results:
+        errors = result.summary()
+        cells = [
+            f"{1e3 * errors[name]['max']:.2f}/{1e3 * errors[name]['median']:.2f}" if name in errors else "-"
+            for name in names
+        ]
+        verdict = f"{words[result.recorded_success]} → {words[result.success]}"
+        steps = f"{result.steps}/{result.recorded_steps}"
+        table.add_row(result.episode_id, steps, verdict, *cells, result.problem or "")
+    table.caption = "max/median deviation over the rows; steps: made/recorded; success: recorded → replayed"
+    return table
 
-    def __init__(self, rows: Synchronized[int], total: int, console: Console) -> None:
-        """Watch a count go up to a total."""
-        # Episodes differ and computers are shared, so the estimate uses the last minutes.
-        super().__init__(console=console, refresh_per_second=2, speed_estimate_period=300.0)
-        self._rows = rows
-        self._task = self.add_task("Replaying", total=total)
-        self._thread = threading.Thread(target=self._watch, name="rcs progress", daemon=True)
-        self._is_over = threading.Event()
 
-    def _watch(self) -> None:
-        while not self._is_over.wait(0.5 if self.console.is_terminal else PATIENCE):
-            self.update(self._task, completed=self._rows.value)
-            task = self.tasks[0]
-            if not self.console.is_terminal and task.time_remaining is not None:
-                left = timedelta(seconds=round(task.time_remaining))
-                self.console.print(f"{task.completed:.0f} of {task.total:.0f} rows, about {left} left")
-
-    def start(self) -> None:
-        """Show the bar and watch the count."""
-        super().start()
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Stop watching."""
-        self._is_over.set()
-        self._thread.join()
-        self.update(self._task, completed=self._rows.value)
-        super().stop()
+def summary(results: Sequence[ReexecutionResult]) -> str:
+    """Return how many episodes succeed in simulation."""
+    recorded = [result for result in results if result.recorded_success]
+    words = f"{sum(result.success for result in results)} of {len(results)} succeed in simulation"
+    if 0 < len(recorded) < len(results):
+        words += f"; of {len(recorded)} recorded successes {sum(result.success for result in recorded)}"
+    problems = sum(result.problem is not None for result in results)
+    return words + (f"; {problems} could not be replayed" if problems else "")
 
 
 def _default(option: dataclasses.Field[Any]) -> Any:
     return option.default if option.default_factory is dataclasses.MISSING else option.default_factory()
-
-
-def _print_wide(table: Table, console: Console) -> None:
-    """Print a table in full, even if the terminal is narrow or missing."""
-    plain_console(width=max(console.width, WIDTH)).print(table)
-
-
-def divergence_table(results: list[ReexecutionResult]) -> Table:
-    """Return a table with largest and median errors of every episode."""
-    table = Table("episode", "steps", "success", "joints [mrad]", "TCP [mm]", "TCP [mrad]", "object [mm]",
-                  "object [mrad]", "beyond tolerance", box=None, pad_edge=False)  # fmt: skip
-    for result in results:
-        first = result.first_beyond
-        cells = [
-            _largest_and_median(getattr(result.divergence, name))
-            for name in ("joints", "position", "rotation", "object_position", "object_rotation")
-        ]
-        beyond = "never" if first is None else f"row {first[0]}: {first[1].replace('_', ' ')}"
-        verdict = _verdict(result.recorded_success, result.success)
-        table.add_row(result.episode_id, f"{result.steps}/{result.recorded_steps}", verdict, *cells, beyond)
-    table.caption = "max/median over the rows of an episode; steps: made/recorded; success: recorded → replayed"
-    return table
-
-
-def success_table(results: list[RealToSimResult]) -> Table:
-    """Return a table with the result of every episode in simulation."""
-    table = Table("episode", "steps", "success", "joints [rad]", "problem", box=None, pad_edge=False)
-    for result in results:
-        error = "-" if result.joint_error is None else f"{result.joint_error[0]:.2g}/{result.joint_error[1]:.2g}"
-        verdict = _verdict(result.recorded_success, result.success)
-        table.add_row(result.episode_id, str(result.steps), verdict, error, result.problem or "")
-    table.caption = "joints: max/median distance from the recording; success: recorded → simulated"
-    return table
-
-
-def _count(results: list[RealToSimResult]) -> str:
-    good = sum(result.success for result in results)
-    real = [result for result in results if result.recorded_success]
-    told = f"{good} of {len(results)} succeed in simulation"
-    if 0 < len(real) < len(results):
-        told += f"; of {len(real)} recorded successes {sum(result.success for result in real)}"
-    problems = sum(result.problem is not None for result in results)
-    return told + (f"; {problems} could not be replayed" if problems else "")
-
-
-def _largest_and_median(values: NDArray[np.float64]) -> str:
-    """Return largest and median of values in m or rad, in mm or mrad."""
-    return f"{1e3 * values.max():.2f}/{1e3 * np.median(values):.2f}" if len(values) else "-"
-
-
-def _verdict(before: bool | None, now: bool) -> str:
-    words = {True: "yes", False: "no", None: "?"}
-    return f"{words[before]} → {words[now]}"

@@ -28,7 +28,7 @@ from rcs.errors import InvalidSetup
 from rcs.rollout.cluster import LOCAL
 from rcs.rollout.collect import Attempt
 from rcs.rollout.evaluate import Summary
-from rcs.rollout.ray_pool import Tally
+from rcs.rollout.ray_pool import ClusterUsage
 from rcs.setups.lab import lab_of
 from rcs.sim.detail import Assets
 from rcs.sim.randomisation import Preset, Randomisation
@@ -300,7 +300,7 @@ class Interruptible(Protocol):
 class Run(Interruptible, Protocol):
     """A run of episodes."""
 
-    cluster: Tally | None
+    cluster: ClusterUsage | None
 
 
 def show(
@@ -344,7 +344,7 @@ def show(
             raise
 
 
-def results_table(summary: Summary, seconds: float, workers: int | str | Tally) -> Table:
+def results_table(summary: Summary, seconds: float, workers: int | str | ClusterUsage) -> Table:
     """Return how attempts went, and how fast they were made.
 
     Args:

@@ -17,7 +17,7 @@ from rcs.planning.timing import JointLimits, time_path
 from rcs.spatial import Pose
 
 STEP, TURN = 0.005, 0.035
-"""How finely motions are checked near obstacles while a path is looked for [m, rad]; half of it is below the margin."""
+"""How finely motions are checked near obstacles during the search [m, rad]; half of it is below the margin."""
 ATTEMPTS = 64
 """Random starts from which inverse kinematics looks for joints that reach a pose."""
 APART = 0.1
@@ -25,7 +25,7 @@ APART = 0.1
 SHORTCUTS = 24
 """Random shortcuts that are tried on a path."""
 BEYOND = np.pi
-"""How far beyond start and goals is searched [rad]: joints of some arms turn twice, most of which leads nowhere."""
+"""How far beyond start and goals to search [rad]: joints of some arms turn twice, most of which leads nowhere."""
 INSIDE = 1e-4
 """By how much margins are lowered below the distance at which a path begins or ends [m]."""
 
@@ -53,12 +53,13 @@ class Planner:
 
         Args:
             checker: Knows the robots and what is around them, as it stands when a path is planned.
-            limits: Of the joints, for times.
-            kinematics: Of the robot, for goals that are poses; None if there are several.
+            limits: Limits of the joints, for times.
+            kinematics: Kinematics of the robot, for goals that are poses; None if there are several robots.
             margin: Distance that paths keep [m]. Where the start or the goal is nearer, this path keeps theirs.
-            planner: Name of a planner: PRM, RRT, RRTConnect, RRTstar, EST, FMT, BITstar, or another one of OMPL.
+            planner: Name of a planner: RRT, RRTConnect, RRTstar, FMT, BITstar, or another one of OMPL; EST needs no
+                extra.
             time_limit: Longest search [s].
-            iterations: Of planners that improve their path, such as RRTstar, once they have one.
+            iterations: Iterations of planners that improve their path, such as RRTstar.
 
         Raises:
             InvalidSetup: A number is not valid, or kinematics and checker have different numbers of joints.
@@ -75,9 +76,9 @@ class Planner:
         self.checker = checker
         """Distances and contacts; `set_state`, `attach` and `allow` change what later paths have to avoid."""
         self.limits = limits
-        """Of the joints."""
+        """Limits of the joints."""
         self.kinematics = kinematics
-        """Of the robot, in its base frame."""
+        """Kinematics of the robot, in its base frame."""
         self.margin = margin
         """Distance that paths keep [m]."""
         self.planner = planner
@@ -85,7 +86,7 @@ class Planner:
         self.time_limit = time_limit
         """Longest search [s]."""
         self.iterations = iterations
-        """Of planners that improve their path."""
+        """Iterations of planners that improve their path."""
 
     def plan(self, start: ArrayLike, goal: ArrayLike | Pose, *, seed: int = 0, shortcut: bool = True) -> Path:
         """Return a path that touches nothing.
@@ -94,7 +95,7 @@ class Planner:
             start: Joints [rad], (dof,).
             goal: Joints [rad], (dof,), or several of which any will do, (n, dof); or a pose of the TCP in the base
                 frame. A pose may have many solutions: those found that are free are all goals.
-            seed: Of everything that is random.
+            seed: Seed of everything random.
             shortcut: Whether to shorten the path.
 
         Raises:

@@ -1,7 +1,4 @@
-"""Looks for a path between joints: OMPL's geometric planners by name, and PRM and EST of our own.
-
-OMPL's Python package has no EST, and its PRM ends when a second thread looks, so that the same seed gives another path.
-"""
+"""Searches for a path between joints: OMPL's geometric planners by name, and EST, which needs no extra."""
 
 from __future__ import annotations
 
@@ -18,8 +15,8 @@ from numpy.typing import NDArray
 from rcs._core import CollisionChecker
 from rcs.errors import MissingDependency, UnknownName
 
-PLANNERS = ("PRM", "RRT", "RRTConnect", "RRTstar", "EST", "FMT", "BITstar")
-"""Planners that are tried and documented; OMPL's other geometric ones go by their names, too."""
+PLANNERS = ("EST", "RRT", "RRTConnect", "RRTstar", "FMT", "BITstar")
+"""Tested planners, which return the same path for the same seed; OMPL has other geometric ones."""
 OPTIMISING = (
     "RRTstar",
     "BITstar",
@@ -31,19 +28,23 @@ OPTIMISING = (
     "ABITstar",
     "AITstar",
 )
-"""Planners that go on after the first path, until their iterations are up."""
+"""Planners that improve their path until their iterations are up."""
 RANGE = 0.6
-"""Longest motion that a tree grows by [rad]. OMPL's own choice, a fifth of the space's extent, is 2.5 rad for seven
-joints: most such motions run into something."""
+"""Longest motion that a tree of OMPL grows by [rad]. OMPL's own choice, a fifth of the space's extent, is 2.5 rad for
+seven joints: most such motions run into something."""
 SEEDS = 2**31
-"""Seeds that OMPL takes."""
+"""Number of seeds of OMPL."""
+REACH = 0.2
+"""Longest motion that a tree of EST grows by, as a share of the diagonal of the joints' ranges."""
+NEAR = 3
+"""Points of EST's other tree that each new point is tried to be joined to."""
 
 Rows = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
-    """What is looked for: a way from a start to any of some goals, all of them free."""
+    """The problem of a path from a start to any of some goals, all of them free."""
 
     checker: CollisionChecker
     start: Rows
@@ -51,19 +52,20 @@ class Problem:
     goals: Rows
     """rad, (n, dof)"""
     lower: Rows
-    """Where it is looked for [rad], (dof,)."""
+    """Smallest joints of the search [rad], (dof,)."""
     upper: Rows
+    """Largest joints of the search [rad], (dof,)."""
     margin: float
     """Distance to keep [m]."""
     step: float
-    """Between two checks of what is near [m]."""
+    """Largest motion of any point between two checks near obstacles [m]."""
     turn: float
-    """The same for rotations [rad]."""
+    """Largest rotation between these [rad]."""
     seed: int
     time_limit: float
-    """s"""
+    """Longest search [s]."""
     iterations: int
-    """Of planners that improve their path."""
+    """Iterations of planners that improve their path."""
 
     def is_free(self, q: Rows) -> bool:
         """Return whether joints (dof,) keep the margin."""
@@ -82,24 +84,18 @@ Search = Callable[[Problem], "Rows | None"]
 
 
 def search(name: str) -> Search:
-    """Return the planner of a name.
+    """Return a planner by its name.
 
     Raises:
-        UnknownName: There is none.
-        MissingDependency: It is OMPL's, which is not installed.
+        UnknownName: There is no planner of this name.
+        MissingDependency: It is one of OMPL, which is not installed.
     """
-    if name == "PRM":
-        from rcs.planning.roadmap import roadmap
-
-        return roadmap
     if name == "EST":
-        from rcs.planning.expansive import expansive
-
-        return expansive
+        return expansive_trees
     geometric = _ompl("geometric")
     known = [n for n in dir(geometric) if hasattr(getattr(geometric, n), "setProblemDefinition") and n != "Planner"]
     if name not in known:
-        raise UnknownName("planner", name, sorted({*known, "PRM", "EST"}))
+        raise UnknownName("planner", name, sorted({*known, "EST"}))
     return lambda problem: _solve(getattr(geometric, name), name in OPTIMISING, problem)
 
 
@@ -108,15 +104,15 @@ def _ompl(module: str) -> Any:
         return importlib.import_module(f"ompl.{module}")
     except ImportError as err:
         raise MissingDependency(
-            "This planner needs ompl: pip install 'robot-control-stack[planning]'. PRM and EST need nothing."
+            "This planner needs ompl: pip install 'robot-control-stack[planning]'. The planner EST needs no extra."
         ) from err
 
 
 def _solve(planner: Any, is_optimising: bool, problem: Problem) -> Rows | None:
     """Run a planner of OMPL; None if it finds no way in time."""
     base, util = _ompl("base"), _ompl("util")
-    util.setLogLevel(util.LOG_NONE)  # it says on standard output what is returned here
-    # Generators made from here on follow from this seed; OMPL takes none of 0.
+    util.setLogLevel(util.LOG_NONE)  # it writes to standard output
+    # Generators made from here on follow from this seed, which OMPL wants above 0.
     util.RNG.setSeed(problem.seed % SEEDS + 1)
     dof = problem.checker.dof
     space = base.RealVectorStateSpace(dof)
@@ -136,7 +132,7 @@ def _solve(planner: Any, is_optimising: bool, problem: Problem) -> Rows | None:
             state[i] = float(value)
         return state
 
-    # Start and goal before any setup of a planner, which would end the process without them.
+    # Without start and goal, a planner's setup ends the process.
     definition = base.ProblemDefinition(information)
     definition.addStartState(state_of(problem.start))
     goals = base.GoalStates(information)
@@ -150,15 +146,15 @@ def _solve(planner: Any, is_optimising: bool, problem: Problem) -> Rows | None:
         made.setRange(RANGE)
     made.setProblemDefinition(definition)
     made.setup()
-    end, asked = time.monotonic() + problem.time_limit, 0
+    end, calls = time.monotonic() + problem.time_limit, 0
 
     def is_over() -> bool:
-        nonlocal asked
-        asked += 1
-        return (is_optimising and asked > problem.iterations) or time.monotonic() > end
+        nonlocal calls
+        calls += 1
+        return (is_optimising and calls > problem.iterations) or time.monotonic() > end
 
     while not definition.hasExactSolution() and time.monotonic() < end:  # an optimising one may need another round
-        asked = 0
+        calls = 0
         made.solve(base.PlannerTerminationCondition(is_over))
         if not is_optimising:
             break
@@ -170,7 +166,7 @@ def _solve(planner: Any, is_optimising: bool, problem: Problem) -> Rows | None:
 
 @cache
 def _swept() -> Any:
-    """Return a class of OMPL's motion validators; made once, as classes are never given back."""
+    """Return a class of OMPL's motion validators; made once, since classes are not freed."""
 
     class Swept(_ompl("base").MotionValidator):
         """Checks whole motions in C++ instead of states along them."""
@@ -183,3 +179,61 @@ def _swept() -> Any:
             return self._problem.connects(np.array(a[0 : self._dof]), np.array(b[0 : self._dof]))
 
     return Swept
+
+
+def expansive_trees(problem: Problem) -> Rows | None:
+    """Grow trees from start and goals where they are thin, and return a path (n, dof); None if none is found in time.
+
+    D. Hsu, J.-C. Latombe and R. Motwani: "Path Planning in Expansive Configuration Spaces", 1997.
+    """
+    end = time.monotonic() + problem.time_limit
+    random = np.random.default_rng(problem.seed)
+    lower, upper = problem.lower, problem.upper
+    reach = REACH * float(np.linalg.norm(upper - lower))
+    trees = [_Tree(problem.start[None], reach / 3), _Tree(problem.goals, reach / 3)]
+    turn = 0
+    while time.monotonic() < end:
+        tree, other = trees[turn], trees[1 - turn]
+        origin = tree.draw(random)
+        motion = random.normal(size=len(lower))
+        motion *= reach * random.uniform() ** (1.0 / len(lower)) / np.linalg.norm(motion)  # uniform in a ball
+        point = np.clip(tree.points[origin] + motion, lower, upper)
+        if problem.is_free(point) and problem.connects(tree.points[origin], point):
+            added = tree.add(point, origin)
+            apart = np.linalg.norm(np.array(other.points) - point, axis=1)
+            for there in np.argsort(apart, kind="stable")[:NEAR].tolist():
+                if problem.connects(point, other.points[there]):
+                    first, second = (tree, added), (other, there)
+                    (start, i), (goal, j) = (first, second) if turn == 0 else (second, first)
+                    return np.array(start.path_to_root(i)[::-1] + goal.path_to_root(j))
+            turn = 1 - turn
+    return None
+
+
+class _Tree:
+    def __init__(self, roots: Rows, radius: float) -> None:
+        self.points = [np.array(root) for root in roots]
+        self._parents = [-1] * len(roots)
+        self._neighbours = [1] * len(roots)
+        self._radius = radius
+
+    def draw(self, random: np.random.Generator) -> int:
+        """Return a point, the more likely the fewer others are near."""
+        weights = 1.0 / np.array(self._neighbours)
+        return int(random.choice(len(weights), p=weights / weights.sum()))
+
+    def add(self, point: Rows, parent: int) -> int:
+        near = np.nonzero(np.linalg.norm(np.array(self.points) - point, axis=1) < self._radius)[0]
+        for i in near:
+            self._neighbours[i] += 1
+        self.points.append(point)
+        self._parents.append(parent)
+        self._neighbours.append(1 + len(near))
+        return len(self.points) - 1
+
+    def path_to_root(self, at: int) -> list[Rows]:
+        found: list[Rows] = []
+        while at >= 0:
+            found.append(self.points[at])
+            at = self._parents[at]
+        return found

@@ -1,4 +1,4 @@
-"""When to be where on a path: as fast as limits of velocity, acceleration and jerk allow.
+"""Times of a path: as fast as limits of velocity, acceleration and jerk allow.
 
 Corners are rounded off where there is room, and passed at a constant speed; where a rounded corner would touch
 something, the path stops there. Between two corners the speed changes along a jerk-limited profile (Ruckig).
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import LineProfile
 from rcs.errors import InvalidSetup
@@ -27,13 +27,16 @@ SHORTEST = 1e-3
 SAME = 1e-9
 """Waypoints nearer to each other than this are one [rad]."""
 
-Is = Callable[[NDArray[np.float64]], bool]
-"""Says whether a row of joints (n, dof), connected by straight lines, is free."""
+MINIMUM_JERK_PEAK = 15 / 8
+"""Largest speed of `minimum_jerk` over its mean speed."""
+
+IsFree = Callable[[NDArray[np.float64]], bool]
+"""Returns whether joints (n, dof), connected by straight lines, touch nothing."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointLimits:
-    """What a timed path keeps to, one number per joint, (dof,)."""
+    """Limits of a timed path, one number per joint, (dof,)."""
 
     velocity: NDArray[np.float64]
     """rad/s"""
@@ -74,7 +77,21 @@ class JointLimits:
 _NAMES = ("velocity", "acceleration", "jerk")
 
 
-def time_path(path: Path, limits: JointLimits, *, bend: float = 0.5, is_free: Is | None = None) -> TimedPath:
+def minimum_jerk(fraction: ArrayLike) -> NDArray[np.float64]:
+    """Return the share of a path that is done after a fraction of its time, with the least jerk from rest to rest.
+
+    Of all such motions it has the least integral of the squared jerk; people move their hands so. Flash and Hogan, "The
+    coordination of arm movements", 1985. Its largest speed is 15/8 of the mean speed, its largest acceleration 10/√3 of
+    length over time squared.
+
+    Args:
+        fraction: Fractions of the time, any shape; those below 0 and above 1 count as 0 and 1.
+    """
+    x = np.clip(np.asarray(fraction, np.float64), 0.0, 1.0)
+    return x * x * x * (10.0 + x * (6.0 * x - 15.0))
+
+
+def time_path(path: Path, limits: JointLimits, *, bend: float = 0.5, is_free: IsFree | None = None) -> TimedPath:
     """Give a path times.
 
     Args:
@@ -101,7 +118,7 @@ def time_path(path: Path, limits: JointLimits, *, bend: float = 0.5, is_free: Is
     return min((_timed(points, limits, length, is_free) for length in longest), key=lambda made: made.duration)
 
 
-def _timed(points: NDArray[np.float64], limits: JointLimits, bend: float, is_free: Is | None) -> TimedPath:
+def _timed(points: NDArray[np.float64], limits: JointLimits, bend: float, is_free: IsFree | None) -> TimedPath:
     """Return the motion along points, all different, with bends of up to a length."""
     ways = np.diff(points, axis=0)
     lengths = np.linalg.norm(ways, axis=1)
@@ -139,7 +156,11 @@ def _along(direction: NDArray[np.float64], limits: JointLimits) -> tuple[float, 
 
 
 def _bend(
-    corner: NDArray[np.float64], directions: NDArray[np.float64], length: float, limits: JointLimits, is_free: Is | None
+    corner: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    length: float,
+    limits: JointLimits,
+    is_free: IsFree | None,
 ) -> Bend | None:
     """Return the longest bend around a corner that is free, None if the path has to stop there."""
     before, after = directions

@@ -13,8 +13,8 @@ from rcs.errors import InvalidSetup
 from rcs.rl.train import Progress, train
 from rcs.rl.training import Training
 from rcs.rollout.cluster import LOCAL
-from rcs.rollout.parcel import Courier, Parcel
-from rcs.rollout.ray_pool import RayPool, Tally
+from rcs.rollout.ray_pool import RayPool
+from rcs.rollout.remote_files import FileWorker, write_files
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,6 @@ def train_seeds(
     ray: str = LOCAL,
     cpus: int = 1,
     videos: bool = True,
-    tally: Tally | None = None,
 ) -> Generator[Trained]:
     """Train with each seed, and yield each run as it is complete; the folder of a seed is `out/seed-N`.
 
@@ -58,7 +57,6 @@ def train_seeds(
         ray: Address of the cluster; see `rcs.rollout.cluster.connected`.
         cpus: CPUs of each training, and its threads. On `cuda` it has a GPU besides.
         videos: Whether each evaluation films an episode.
-        tally: Told where the runs are made.
 
     Raises:
         MissingDependency: The extra `ray` or `rl` is not installed.
@@ -77,14 +75,12 @@ def train_seeds(
     gpus = 1 if training.device.startswith("cuda") else 0
     try:
         work = _Work(training, folder, sign, cpus, videos)
-        with RayPool(work, len(seeds) if ray == LOCAL else 0, ray, most=len(seeds), cpus=cpus, gpus=gpus) as pool:
-            pool.tally = tally or pool.tally
-            for done in pool.map(iter(seeds)):
-                trained = done
-                if isinstance(done, Parcel):
+        with RayPool(work, len(seeds) if ray == LOCAL else 0, ray, cpus=cpus, gpus=gpus) as pool:
+            for trained in pool.map(iter(seeds)):
+                if not isinstance(trained, Trained):
+                    trained, files = trained
                     with disk_errors("write a run", folder):
-                        done.unpack(folder)
-                    trained = done.result
+                        write_files(files, folder)
                 yield replace(trained, run=run_of(folder, trained.seed))
     finally:
         sign.unlink(missing_ok=True)
@@ -120,10 +116,10 @@ class _Work:
     cpus: int
     videos: bool
 
-    def __call__(self) -> _Trainer | Courier:
+    def __call__(self) -> _Trainer | FileWorker:
         if self.sign.exists():
             return self._worker(self.folder)
-        return Courier(self._worker)
+        return FileWorker(self._worker)
 
     def _worker(self, folder: Path) -> _Trainer:
         return _Trainer(self.training, folder, self.cpus, self.videos)

@@ -11,7 +11,7 @@ from rcs.envs.setup import Setup
 from rcs.errors import CorruptCheckpoint, InvalidSetup, require_fields
 from rcs.rl.algorithms import Algorithm, Rlpd, Sac, algorithm_from_json, algorithm_to_json
 from rcs.rl.recipes import Recipe
-from rcs.rollout.look import require_trusted
+from rcs.rollout.recorded_setup import require_trusted
 
 VERSION = 1
 """Raised when what is stored comes to mean something else."""

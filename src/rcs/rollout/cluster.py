@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import importlib
 import os
-import secrets
 import signal
 import tempfile
 import threading
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,22 +19,22 @@ from rcs.errors import InvalidSetup, MissingDependency, RcsError
 LOCAL = "local"
 """The address of a cluster of this machine alone, started for one connection."""
 
-# Of a local cluster [B]. An episode is fetched as soon as it ends; what does not fit goes to the disk.
 _OBJECT_STORE = 256 << 20
-# A path of a Unix socket has at most 107 bytes (unix(7)), of which Ray's own folders and names take 75.
+"""Memory of a local cluster for results [B]; they are fetched at once, and what does not fit goes to the disk."""
 _LONGEST_FOLDER = 32
+"""Longest path of Ray's folder: that of a Unix socket has at most 107 bytes (unix(7)), of which Ray's names take 75."""
 
 
 @contextmanager
 def connected(address: str, *, cpus: int) -> Generator[tuple[Any, dict[str, str]]]:
     """Yield the module `ray`, connected, and environment variables for worker processes.
 
-    A connection that this process has already is used and stays.
+    An existing connection of this process is used and stays.
 
     Args:
         address: `local` for a cluster of this machine, `auto` for the one that was started on this machine, or
             `host:port` for one that this machine is a part of.
-        cpus: How many CPUs a local cluster offers.
+        cpus: Number of CPUs that a local cluster offers.
 
     Raises:
         MissingDependency: Ray is not installed.
@@ -48,80 +46,46 @@ def connected(address: str, *, cpus: int) -> Generator[tuple[Any, dict[str, str]
             f"The address of the Ray cluster is {address!r}; valid is 'local', 'auto' or 'host:port'. "
             "Run the command on a machine of the cluster."
         )
-    ray = _ray()
+    try:
+        ray = importlib.import_module("ray")
+    except ImportError as err:
+        raise MissingDependency("Clusters need Ray: pip install 'robot-control-stack[ray]'.") from err
     if ray.is_initialized():
         yield ray, {}
         return
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     if address != LOCAL:
-        with _session(ray, address, address=address, **quiet):
+        with _session(ray, address=address):
             yield ray, {}
         return
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     place = Path(tempfile.gettempdir()).resolve()
     if len(os.fsencode(place)) > _LONGEST_FOLDER - len("/.rcs-ray.partial-00000000"):
         place = Path("/tmp")
-    with temporary_folder(place / "rcs-ray") as folder, _environment(_of_local()):
-        own = folder / "tmp"
-        own.mkdir(parents=True)
-        about = {"num_cpus": cpus, "include_dashboard": False, "object_store_memory": _OBJECT_STORE}
-        with _session(ray, address, address=LOCAL, _temp_dir=str(folder), **about, **quiet):
-            yield ray, {"TMPDIR": str(own)}
-
-
-def _ray() -> Any:
-    try:
-        return importlib.import_module("ray")
-    except ImportError as err:
-        raise MissingDependency("Clusters need Ray: pip install 'robot-control-stack[ray]'.") from err
+    with temporary_folder(place / "rcs-ray") as folder:
+        (folder / "tmp").mkdir(parents=True)
+        options = {"num_cpus": cpus, "include_dashboard": False, "object_store_memory": _OBJECT_STORE}
+        with _session(ray, address=LOCAL, _temp_dir=str(folder), **options):
+            yield ray, {"TMPDIR": str(folder / "tmp")}
 
 
 @contextmanager
-def _session(ray: Any, name: str, **options: Any) -> Generator[None]:
-    """Be connected inside, with this process's own reaction to SIGTERM, which Ray replaces."""
+def _session(ray: Any, address: str, **options: Any) -> Generator[None]:
+    """Connect, and keep this process's own reaction to SIGTERM, which Ray replaces."""
     is_main = threading.current_thread() is threading.main_thread()
     before = signal.getsignal(signal.SIGTERM) if is_main else None
     try:
         try:
-            ray.init(**options)
+            ray.init(address, log_to_driver=False, logging_level="ERROR", **options)
         except (ConnectionError, RuntimeError, ValueError, OSError, ray.exceptions.RayError) as err:
-            words = f"No Ray cluster could be started: {err}" if name == LOCAL else (
-                f"Could not connect to the Ray cluster {name!r}: {err}. Is it running, and is this machine a part of "
-                "it? `ray start --head` starts one, `ray start --address=host:port` adds a machine."
-            )  # fmt: skip
-            raise RcsError(words) from err
+            if address == LOCAL:
+                raise RcsError(f"No Ray cluster could be started: {err}") from err
+            raise RcsError(
+                f"Could not connect to the Ray cluster {address!r}: {err}. Is it running, and is this machine a part "
+                "of it? `ray start --head` starts one, `ray start --address=host:port` adds a machine."
+            ) from err
         finally:
             if is_main:
                 signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
         yield
     finally:
         ray.shutdown()
-
-
-def _of_local() -> dict[str, str | None]:
-    """Return environment variables of a local cluster: nothing is reported, and nobody else may connect."""
-    mine: dict[str, str | None] = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": os.environ.get("RAY_AUTH_MODE")}
-    if not {"RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"} & set(os.environ):
-        # Ray demands a token of every local cluster, and would store its own in the home folder.
-        mine["RAY_AUTH_TOKEN"] = _token()
-    return mine
-
-
-@functools.cache
-def _token() -> str:
-    # Ray remembers the first one that a process has.
-    return secrets.token_hex(32)
-
-
-@contextmanager
-def _environment(variables: Mapping[str, str | None]) -> Generator[None]:
-    """Set variables inside, and give them back their former values; one that is None may be set meanwhile."""
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update({name: value for name, value in variables.items() if value is not None})
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

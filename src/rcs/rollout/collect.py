@@ -20,7 +20,6 @@ from rcs_data.feature import Colour
 from rcs_data.layout import EPISODES_FOLDER
 
 from rcs.agents import agent_for
-from rcs.agents.choice import is_path
 from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observers.record import recorder_of
@@ -31,12 +30,12 @@ from rcs.envs.step.engine import FAULT
 from rcs.envs.step.stack import for_all
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.cluster import LOCAL
-from rcs.rollout.episode import EpisodeResult, run_episode
+from rcs.rollout.episode import EpisodeResult, randomisation_of, run_episode
 from rcs.rollout.operator import Operator, operator_of
-from rcs.rollout.parcel import Courier, Luggage
 from rcs.rollout.pool import WorkerPool
-from rcs.rollout.ray_pool import RayPool, Tally
+from rcs.rollout.ray_pool import ClusterUsage, RayPool
 from rcs.rollout.real_episodes import RealEpisodes, has_real_arms
+from rcs.rollout.remote_files import FileWorker, SentAgent
 from rcs.setups.make import make
 
 _log = logging.getLogger(__name__)
@@ -141,8 +140,8 @@ class Progress:
     """Attempts cut short by a kill, which are made again from the start."""
     attempts: list[Attempt] = field(default_factory=list[Attempt])
     """Attempts of this run, in the order of their ends."""
-    cluster: Tally | None = None
-    """Where the attempts were made, and how many were lost; None without a cluster."""
+    cluster: ClusterUsage | None = None
+    """The workers; None without a cluster."""
     is_interrupted: bool = False
     seconds: float = 0.0
     """Wall time of this run [s]."""
@@ -198,12 +197,8 @@ class Collector:
         seed = self._collection.seed_of(number)
         result = run_episode(self._env, self._agent, seed=seed) if self._real is None else self._real.run(seed)
         if result.success or not self._collection.only_success:
-            drawn = self._env.scenario.randomisation if self._real is None else {}
-            more: dict[str, Any] = {"randomisation": {field: values.tolist() for field, values in drawn.items()}}
-            outcome = {"attempt": number, **result.outcome(), **(more if drawn else {})}
-            if self._real is not None:
-                outcome[OBJECTS] = self._real.objects
-            self._recorder.finish(result.success, outcome)
+            more = randomisation_of(self._env) if self._real is None else {OBJECTS: self._real.objects}
+            self._recorder.finish(result.success, {"attempt": number, **result.outcome(), **more})
         else:
             self._recorder.discard()
         return Attempt(number=number, result=result)
@@ -341,16 +336,20 @@ def _attempts(
     collection: Collection, writer: DatasetWriter, numbers: Iterator[int], progress: Progress
 ) -> Iterator[Attempt]:
     if collection.ray is None:
-        with WorkerPool(_Work(collection), collection.workers) as pool:
+        with WorkerPool(_Make(collection), collection.workers) as pool:
             yield from pool.map(numbers)
         return
-    away = _WorkAway(collection, writer.info, Luggage.of(collection.agent) if is_path(collection.agent) else None)
-    with RayPool(away, collection.workers, collection.ray, most=collection.episodes) as pool:
-        progress.cluster = pool.tally
-        for parcel in pool.map(numbers):
-            for name, files in parcel.by_folder().items():
-                writer.adopt(name, files)
-            yield parcel.result
+    make = _MakeRemote(collection, writer.info, SentAgent.of(collection.agent))
+    with RayPool(make, collection.workers, collection.ray) as pool:
+        progress.cluster = pool.usage
+        for attempt, files in pool.map(numbers):
+            episodes: dict[str, dict[str, memoryview]] = {}
+            for path, data in files.items():
+                episode, _, name = path.partition("/")
+                episodes.setdefault(episode, {})[name] = data.data
+            for episode, contents in episodes.items():
+                writer.adopt(episode, contents)
+            yield attempt
 
 
 def _count(attempt: Attempt, collection: Collection, progress: Progress) -> None:
@@ -359,7 +358,7 @@ def _count(attempt: Attempt, collection: Collection, progress: Progress) -> None
 
 
 @dataclass(frozen=True)
-class _Work:
+class _Make:
     """Makes the worker in its process; sent to it once."""
 
     collection: Collection
@@ -369,16 +368,16 @@ class _Work:
 
 
 @dataclass(frozen=True)
-class _WorkAway:
-    """Makes the worker on another machine, which records into a dataset of its own and sends each episode."""
+class _MakeRemote:
+    """Makes the worker on another machine, which records into a dataset of its own and returns each episode."""
 
     collection: Collection
     info: DatasetInfo
-    luggage: Luggage | None
+    agent: SentAgent
 
-    def __call__(self) -> Courier:
-        return Courier(self._worker, outbox=f"dataset/{EPISODES_FOLDER}")
+    def __call__(self) -> FileWorker:
+        return FileWorker(self._worker, outbox=f"dataset/{EPISODES_FOLDER}")
 
     def _worker(self, folder: Path) -> Collector:
-        agent = self.collection.agent if self.luggage is None else self.luggage.unpack(folder / "agent")
-        return Collector(replace(self.collection, agent=agent), DatasetWriter.open(folder / "dataset", self.info))
+        collection = replace(self.collection, agent=self.agent.unpack(folder / "agent"))
+        return Collector(collection, DatasetWriter.open(folder / "dataset", self.info))

@@ -114,6 +114,12 @@ def run_episode(
     )
 
 
+def randomisation_of(env: Env) -> dict[str, Any]:
+    """Return the outcome's entry about the randomisation of the present episode; empty if there is none."""
+    drawn = {field: values.tolist() for field, values in env.scenario.randomisation.items()}
+    return {"randomisation": drawn} if drawn else {}
+
+
 def ask(observation: Observation, info: Mapping[str, Any]) -> bool | None:
     """Judge an episode by asking the person at the terminal."""
     answer = ""

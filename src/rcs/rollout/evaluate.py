@@ -13,7 +13,6 @@ from typing import Any, Protocol, runtime_checkable
 from rcs_data.verdicts import wilson_interval
 
 from rcs.agents import Agent, agent_for
-from rcs.agents.choice import is_path
 from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder, versions
@@ -23,9 +22,9 @@ from rcs.errors import InvalidSetup
 from rcs.rollout.cluster import LOCAL
 from rcs.rollout.collect import Attempt, episode_id, seed_of
 from rcs.rollout.episode import EpisodeResult, Judge, run_episode
-from rcs.rollout.parcel import Courier, Luggage
 from rcs.rollout.pool import WorkerPool
-from rcs.rollout.ray_pool import RayPool, Tally
+from rcs.rollout.ray_pool import ClusterUsage, RayPool
+from rcs.rollout.remote_files import FileWorker, SentAgent, write_files
 from rcs.rollout.video import Film
 from rcs.setups.make import make
 
@@ -99,8 +98,8 @@ class Summary:
 
     attempts: list[Attempt] = field(default_factory=list[Attempt])
     """In the order in which they ended."""
-    cluster: Tally | None = None
-    """Where the attempts were made, and how many were lost; None without a cluster."""
+    cluster: ClusterUsage | None = None
+    """The workers; None without a cluster."""
     is_interrupted: bool = False
     """Set it to end the evaluation after the episodes at work."""
 
@@ -209,7 +208,7 @@ class Evaluator:
 
 
 @dataclass(frozen=True)
-class _Work:
+class _Make:
     """Makes the worker in its process; sent to it once."""
 
     evaluation: Evaluation
@@ -219,18 +218,17 @@ class _Work:
 
 
 @dataclass(frozen=True)
-class _WorkAway:
-    """Makes the worker on another machine, which sends its videos."""
+class _MakeRemote:
+    """Makes the worker on another machine, which returns its videos."""
 
     evaluation: Evaluation
-    luggage: Luggage | None
+    agent: SentAgent
 
-    def __call__(self) -> Courier:
-        return Courier(self._worker, outbox="videos")
+    def __call__(self) -> FileWorker:
+        return FileWorker(self._worker, outbox="videos")
 
     def _worker(self, folder: Path) -> Evaluator:
-        agent = self.evaluation.agent if self.luggage is None else self.luggage.unpack(folder / "agent")
-        return Evaluator(replace(self.evaluation, agent=agent, out=folder / "videos"))
+        return Evaluator(replace(self.evaluation, agent=self.agent.unpack(folder / "agent"), out=folder / "videos"))
 
 
 def evaluate(
@@ -280,15 +278,15 @@ def evaluate(
 
 def _attempts(evaluation: Evaluation, numbers: Iterator[int], summary: Summary) -> Iterator[Attempt]:
     if evaluation.ray is None:
-        with WorkerPool(_Work(evaluation), evaluation.workers) as pool:
+        with WorkerPool(_Make(evaluation), evaluation.workers) as pool:
             yield from pool.map(numbers)
         return
-    away = _WorkAway(evaluation, Luggage.of(evaluation.agent) if is_path(evaluation.agent) else None)
-    with RayPool(away, evaluation.workers, evaluation.ray, most=evaluation.episodes) as pool:
-        summary.cluster = pool.tally
-        for parcel in pool.map(numbers):
-            parcel.unpack(evaluation.out)
-            yield parcel.result
+    make = _MakeRemote(evaluation, SentAgent.of(evaluation.agent))
+    with RayPool(make, evaluation.workers, evaluation.ray) as pool:
+        summary.cluster = pool.usage
+        for attempt, files in pool.map(numbers):
+            write_files(files, evaluation.out)
+            yield attempt
 
 
 def _numbers(evaluation: Evaluation, summary: Summary) -> Iterator[int]:

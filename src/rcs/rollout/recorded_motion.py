@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,36 +12,35 @@ from rcs_data import DatasetInfo, EpisodeRecord
 from rcs.agents import Agent
 from rcs.envs import spaces as keys
 from rcs.envs.by_robot import by_robot, joined, prefixes
-from rcs.envs.observers.recorder import EXECUTED, OBSERVATION
+from rcs.envs.observers.recorder import OBSERVATION
 from rcs.envs.spaces import Action, Observation
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 
-GripperFrom = Literal["trend", "opening", "command"]
-"""What a gripper follows: the trend of the recorded opening, that opening, or the recorded command."""
-
-TREND = 0.1
+THRESHOLD = 0.1
 """Change of an opening since its last turn that counts as opening or closing (of 1): above a sensor's noise."""
 GROWTH = 0.01
 """Growth of an opening from row to row that counts as opening."""
 SQUEEZE = 0.15
 """How far to aim below an opening that does not grow (of 1), so that fingers press on an object that stopped them."""
 GRIPPER_LEAD = 0.07
-"""Delay from a command to its effect on the opening [s]: a step, and the time to change by `TREND`."""
+"""Delay from a command to its effect on the opening [s]: a step, and the time to change by `THRESHOLD`."""
 BARELY_CLOSED = 0.97
 """Opening above which a gripper counts as fully open and is not closed further."""
 
 
 class RecordedMotion(Agent):
-    """Makes the robots of an environment follow those of an episode; one agent per episode."""
+    """Makes the robots of an environment follow those of an episode; one agent per episode.
+
+    A gripper or hand that only opens and closes follows the trend of the recorded opening, another one that opening.
+    """
 
     def __init__(
         self,
         episode: EpisodeRecord,
         robots: list[SimRobot],
-        gripper: GripperFrom,
+        is_binary: bool,
         frequency: float,
-        lookahead: float = 0.0,
         state: str | None = None,
     ) -> None:
         """Read the states.
@@ -49,9 +48,8 @@ class RecordedMotion(Agent):
         Args:
             episode: The episode.
             robots: The simulated robots.
-            gripper: What their grippers follow.
+            is_binary: Whether their grippers only open and close fully.
             frequency: Control steps per second of the simulation [Hz].
-            lookahead: Lead of joint targets over the recording [s].
             state: The feature with joints, then gripper or hand, robot by robot; None for one feature each.
 
         Raises:
@@ -60,7 +58,7 @@ class RecordedMotion(Agent):
         """
         if episode.length < 2:
             raise InvalidSetup(f"Episode {episode.id!r} has {episode.length} rows; a motion needs at least 2.")
-        places = find_states(episode.info, robots, gripper, state)
+        places = find_states(episode.info, robots, is_binary, state)
         columns = {feature: episode.column(feature).astype(np.float64) for feature, _ in places.values()}
         values = {key: columns[feature][:, part] for key, (feature, part) in places.items()}
         self._times: NDArray[np.float64] = np.arange(episode.length) / episode.info.frequency
@@ -68,7 +66,7 @@ class RecordedMotion(Agent):
         self._steps = 0
         before = prefixes(robot.placement.name for robot in robots)
         self._robots = {
-            name: _Robot(values, robot, prefix, gripper, lookahead)
+            name: _Robot(values, robot, f"{OBSERVATION}/{prefix}", is_binary)
             for robot, (name, prefix) in zip(robots, before.items(), strict=True)
         }
 
@@ -86,14 +84,14 @@ class RecordedMotion(Agent):
         self._steps = 0
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
-        """Return the action that takes the robots to where they were recorded at the end of the next step.
+        """Return the action that takes the robots to their recorded positions at the end of the next step.
 
         Returns:
             Absolute joint targets, and commands of grippers or hands.
         """
         self._steps += 1
-        time, period = self._steps / self._frequency, 1 / self._frequency
-        return joined({name: robot.target(time, period, self._times) for name, robot in self._robots.items()})
+        time = self._steps / self._frequency
+        return joined({name: robot.action(time, self._times) for name, robot in self._robots.items()})
 
     def error(self, observation: Observation, time: float) -> float:
         """Return the largest distance of a joint from its recorded position at a time since the start [rad]."""
@@ -105,56 +103,43 @@ class RecordedMotion(Agent):
 
 
 class _Robot:
-    """The recorded states of one robot, and the commands of its simulated twin."""
+    """The recorded states of one robot."""
 
-    def __init__(
-        self,
-        values: dict[str, NDArray[np.float64]],
-        robot: SimRobot,
-        prefix: str,
-        gripper: GripperFrom,
-        lookahead: float,
-    ) -> None:
-        self._lookahead = lookahead
-        self._lead = 0.0 if gripper == "command" else GRIPPER_LEAD
-        self._is_stepwise = gripper != "opening"
+    def __init__(self, values: dict[str, NDArray[np.float64]], robot: SimRobot, prefix: str, is_binary: bool) -> None:
+        self._is_binary = is_binary
         self._box = keys.joints_space(robot.placement.arm.joint_lower, robot.placement.arm.joint_upper)
-        self.joints = values[f"{OBSERVATION}/{prefix}{keys.JOINTS}"]
+        self.joints = values[f"{prefix}{keys.JOINTS}"]
         self.start: dict[str, NDArray[Any]] = {keys.JOINTS: self.joints[0]}
         self._fingers: dict[str, NDArray[np.float64]] = {}
         for key, has in ((keys.GRIPPER, robot.placement.gripper), (keys.HAND, robot.placement.hand)):
             if has is None:
                 continue
-            measured = np.clip(values[f"{OBSERVATION}/{prefix}{key}"], 0.0, 1.0)
+            measured = np.clip(values[f"{prefix}{key}"], 0.0, 1.0)
             self.start[key] = measured[0]
-            if gripper == "command":
-                told = values[f"{EXECUTED}/{prefix}{key}"]
-                self._fingers[key] = np.concatenate([told[1:2], told[1:]])  # no command precedes the first step
-            elif gripper == "trend":
-                # A hand that only opens and grasps is commanded under the gripper's key.
-                self._fingers[keys.GRIPPER] = trend(values[f"{OBSERVATION}/{prefix}{keys.GRIPPER}"])
+            if is_binary:  # a hand that only opens and grasps is commanded under the gripper's key
+                self._fingers[keys.GRIPPER] = trend(values[f"{prefix}{keys.GRIPPER}"])
             else:
                 self._fingers[key] = squeezed(measured) if key == keys.GRIPPER else measured
 
-    def target(self, time: float, period: float, times: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
-        joints = _interpolated(self.joints, time + self._lookahead, times)
+    def action(self, time: float, times: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+        joints = _interpolated(self.joints, time, times)
         action: dict[str, NDArray[Any]] = {keys.JOINTS: np.clip(joints, self._box.low, self._box.high)}
-        when = time + self._lead
-        for key, told in self._fingers.items():
-            value = told[_row(when, times)] if self._is_stepwise else _interpolated(told, when, times)
+        ahead = time + GRIPPER_LEAD
+        for key, openings in self._fingers.items():
+            value = openings[_row(ahead, times)] if self._is_binary else _interpolated(openings, ahead, times)
             action[key] = np.clip(value, 0.0, 1.0).astype(np.float32)
         return action
 
 
 def find_states(
-    info: DatasetInfo, robots: list[SimRobot], gripper: GripperFrom, state: str | None = None
+    info: DatasetInfo, robots: list[SimRobot], is_binary: bool, state: str | None = None
 ) -> dict[str, tuple[str, slice]]:
     """Return feature and slice for each part of a motion, by its key in an environment.
 
     Args:
         info: The info of the dataset.
         robots: The robots that are to follow.
-        gripper: What their grippers follow.
+        is_binary: Whether their grippers only open and close fully.
         state: The feature with joints, then gripper or hand, robot by robot; None for one feature each.
 
     Raises:
@@ -165,15 +150,12 @@ def find_states(
     before = prefixes(robot.placement.name for robot in robots).values()
     for placement, prefix in zip([robot.placement for robot in robots], before, strict=True):
         sizes[f"{OBSERVATION}/{prefix}{keys.JOINTS}"] = len(placement.arm.joints)
-        parts = {keys.GRIPPER: 1} if placement.gripper is not None else {}
+        if placement.gripper is not None:
+            sizes[f"{OBSERVATION}/{prefix}{keys.GRIPPER}"] = 1
         if placement.hand is not None:
-            parts[keys.HAND] = len(placement.hand.joints)
-            if gripper == "trend":
-                apart[f"{OBSERVATION}/{prefix}{keys.GRIPPER}"] = 1  # also for a hand that only opens and grasps
-        for key, size in parts.items():
-            sizes[f"{OBSERVATION}/{prefix}{key}"] = size
-            if gripper == "command":
-                apart[f"{EXECUTED}/{prefix}{key}"] = size
+            sizes[f"{OBSERVATION}/{prefix}{keys.HAND}"] = len(placement.hand.joints)
+            if is_binary:
+                apart[f"{OBSERVATION}/{prefix}{keys.GRIPPER}"] = 1
     places = {key: (key, slice(0, size)) for key, size in {**sizes, **apart}.items()}
     needed = {key: (size,) for key, size in {**sizes, **apart}.items()}
     if state is not None:
@@ -183,7 +165,7 @@ def find_states(
     shapes = {feature.key: feature.shape for feature in info.features}
     wrong = {key: shape for key, shape in needed.items() if shapes.get(key) != shape}
     if wrong:
-        found = {key: shape for key, shape in shapes.items() if key.startswith((OBSERVATION, EXECUTED))}
+        found = {key: shape for key, shape in shapes.items() if key.startswith(OBSERVATION)}
         names = ", ".join(robot.placement.name for robot in robots)
         raise InvalidSetup(f"To follow the recording, {names} needs the features {wrong}; the dataset has {found}.")
     return places
@@ -196,20 +178,20 @@ def trend(openings: NDArray[np.floating]) -> NDArray[np.float64]:
         openings: Measured openings, 0 closed … 1 open, (rows, 1).
 
     Returns:
-        The same shape; it changes in the row where the opening has turned by more than `TREND`.
+        The same shape; it changes in the row where the opening has turned by more than `THRESHOLD`.
     """
-    told = np.empty(openings.shape, np.float64)
+    commands = np.empty(openings.shape, np.float64)
     is_open = bool(openings[0, 0] >= 0.5)
     # Medians of three rows remove single outliers and preserve steps.
     padded = np.concatenate([openings[:1, 0], openings[:, 0], openings[-1:, 0]])
     medians = np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
-    turn = float(medians[0])  # the extreme opening since the last turn
+    extreme = float(medians[0])  # since the last turn
     for i, opening in enumerate(medians):
-        turn = max(turn, float(opening)) if is_open else min(turn, float(opening))
-        if abs(opening - turn) > TREND:
-            is_open, turn = not is_open, float(opening)
-        told[i] = float(is_open)
-    return told
+        extreme = max(extreme, float(opening)) if is_open else min(extreme, float(opening))
+        if abs(opening - extreme) > THRESHOLD:
+            is_open, extreme = not is_open, float(opening)
+        commands[i] = float(is_open)
+    return commands
 
 
 def squeezed(openings: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Replays recorded episodes in simulation and compares the states bit for bit."""
+"""Replays recorded actions in simulation and compares all states bit for bit."""
 
 from __future__ import annotations
 
@@ -17,29 +17,31 @@ from rcs.envs.env import Env
 from rcs.envs.observers.recorder import ACTION
 from rcs.envs.spaces import Observation
 from rcs.errors import InvalidSetup
-from rcs.rollout.look import physics_of, require_rate, require_states, setup_of
+from rcs.rollout.recorded_setup import physics_of, require_rate, require_states
 from rcs.setups.make import resolve
 from rcs.sim.state_transfer import of_another_simulation
-
-__all__ = ["ReplayResult", "Step", "physics_of", "play", "recorded", "replay", "replay_episode", "setup_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayResult:
-    """How a replay compares to its recording."""
+    """Comparison of a replay with its recording."""
 
     episode_id: str
     steps: int
     first_difference: int | None
     """Row of the first state that differs in any bit; None when all are equal."""
     begins_at_reset: bool = True
-    """Whether the first state is that after a reset with the episode's seed, where a state differs. After another, such
-    as that of a trimmed episode, what the arm was about to do is not known."""
+    """False if a state differs and the first state is not the one after a reset with the episode's seed, as after a
+    trim: then the servos' targets at the start are unknown."""
 
     @property
     def is_equal(self) -> bool:
         """Whether every state was equal, bit for bit."""
         return self.first_difference is None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as JSON values."""
+        return dataclasses.asdict(self)
 
 
 def replay(path: str | Path, *, trust: Collection[str] = ()) -> Iterator[ReplayResult]:
@@ -57,7 +59,7 @@ def replay(path: str | Path, *, trust: Collection[str] = ()) -> Iterator[ReplayR
     require_states(dataset)
     setup = dataclasses.replace(physics_of(dataset, trust=trust), assets="builtin")
     require_rate(dataset, setup)
-    # Neither cameras nor looks change the physics, and without frames a replay is ten times faster.
+    # Neither cameras nor their appearance change the physics, and without frames a replay is ten times faster.
     env = assemble(resolve(setup), is_blind=True)
     try:
         own = env.scenario.world.core.state_size
@@ -109,13 +111,13 @@ class Step:
 
 
 def play(env: Env, agent: Agent, *, seed: int | None, options: Mapping[str, Any], most: int) -> Iterator[Step]:
-    """Let an agent act from a given start until the episode is over.
+    """Run an agent from a given start until the episode is over.
 
     Args:
         env: The environment.
-        agent: Acts in it.
-        seed: Of the reset.
-        options: Of the reset: the start.
+        agent: The agent.
+        seed: Seed of the reset.
+        options: Options of the reset: the start.
         most: Largest number of steps.
     """
     observation, info = env.reset(seed=seed, options=options)

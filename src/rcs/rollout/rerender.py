@@ -1,9 +1,10 @@
-"""Renders recorded episodes again: other cameras, sizes, qualities and looks of the same states."""
+"""Renders recorded states again: with other cameras, sizes, qualities and appearances."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,13 @@ from rcs_data import Dataset, DatasetInfo, EpisodeRecord, Feature
 from rcs_data.flags import FrameFlag, flags_key, time_key
 
 from rcs.envs import spaces as keys
-from rcs.envs.env import Env
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.observers.recorder import OBSERVATION, TIME_MONOTONIC, versions
 from rcs.envs.ports.simulated import SimCameraPort
 from rcs.errors import InvalidSetup
-from rcs.rollout.derive import Derivation, Workplace
-from rcs.rollout.look import Stage, physics_of, require_states, setup_of
+from rcs.rollout.derived_dataset import Derivation, EpisodeMaker, derive
+from rcs.rollout.recorded_setup import physics_of, require_states, setup_of
+from rcs.rollout.replay_scene import Appearance, ReplayScene
 
 FRAMES = f"{OBSERVATION}/{keys.FRAMES}/"
 
@@ -29,56 +30,81 @@ class RerenderResult:
     episode_id: str
     rows: int
 
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as JSON values."""
+        return {"episode": self.episode_id, "rows": self.rows}
 
-@dataclass(frozen=True, kw_only=True)
-class Rerendering(Derivation):
-    """Restores every recorded state bit for bit, without stepping, and draws frames of it into a new dataset.
+
+def rerender(
+    source: str | Path,
+    out: str | Path,
+    *,
+    appearance: Appearance | None = None,
+    workers: int = 1,
+    trust: Collection[str] = (),
+) -> Iterator[RerenderResult]:
+    """Restore every recorded state bit for bit, without stepping, and render it into a new dataset.
 
     Everything but frames, their calibration and their capture times is copied, including simulation states. So are
     frames of tactile sensors, since the states do not determine them.
+
+    Args:
+        source: Folder of the recorded dataset.
+        out: Folder of the new dataset; it must not exist.
+        appearance: Changes to the frames; None for the recorded ones.
+        workers: Number of processes; 1 for this one, 0 for one per core.
+        trust: Modules that may be imported because the dataset's setup names them.
+
+    Raises:
+        InvalidSetup: The dataset has no simulation states, or an option is not valid.
+        DatasetError, CorruptEpisode: A dataset cannot be read or written, or `out` is not empty.
     """
+    dataset = Dataset.open(source)
+    require_states(dataset)
+    physics, frames = physics_of(dataset, trust=trust), setup_of(dataset, trust=trust)
+    scene = ReplayScene(physics=physics, frames=frames, appearance=appearance or Appearance())
+    env, _ = scene.make()
+    try:
+        fresh = scene.info(env, dataset.info, has_recorded_states=True)
+    finally:
+        env.close()
+    recipe = Derivation(kind="render", source=Path(source), scene=scene, make=_render)
+    yield from derive(recipe, Path(out), _info(dataset.info, fresh), workers)
 
-    kind = "render"
 
-    def stage(self, dataset: Dataset) -> Stage:
-        """Return the recorded scene, seen by the chosen cameras."""
-        require_states(dataset)
-        return Stage.of(physics_of(dataset, trust=self.trust), setup_of(dataset, trust=self.trust), self.look)
+def _info(recorded: DatasetInfo, fresh: DatasetInfo) -> DatasetInfo:
+    """Return the info of the new dataset, with features in the order of a recording."""
+    cameras = [*camera_names(recorded), *camera_names(fresh)]
+    kept = {f.key: f for f in recorded.features if not is_of_camera(f.key, cameras)}
+    features = [kept.pop(f.key, f) for f in fresh.features if f.key in kept or is_of_camera(f.key, cameras)]
+    return replace(
+        recorded,
+        features=(*features, *kept.values()),
+        setup=fresh.setup,
+        jpeg_quality=fresh.jpeg_quality,
+        versions={**recorded.versions, **versions()},
+    )
 
-    def info(self, dataset: Dataset, stage: Stage, env: Env) -> DatasetInfo:
-        """Return the info of the new dataset, with features in the order of a recording."""
-        recorded = dataset.info
-        fresh = stage.info(env, recorded, physics_of(dataset, trust=self.trust))
-        cameras = [*camera_names(recorded), *camera_names(fresh)]
-        kept = {f.key: f for f in recorded.features if not is_of_camera(f.key, cameras)}
-        features = [kept.pop(f.key, f) for f in fresh.features if f.key in kept or is_of_camera(f.key, cameras)]
-        return replace(
-            recorded,
-            features=(*features, *kept.values()),
-            setup=fresh.setup,
-            jpeg_quality=fresh.jpeg_quality,
-            versions={**recorded.versions, **versions()},
-        )
 
-    def make(self, workplace: Workplace, episode: EpisodeRecord) -> RerenderResult:
-        """Render one episode: in each row, the cameras that have a frame due."""
-        scenario, info = workplace.env.scenario, workplace.writer.info
-        world = scenario.world
-        if episode.seed is None and physics_of(workplace.dataset, trust=self.trust).randomisation is not None:
-            raise InvalidSetup(f"Episode {episode.id!r} was randomised without a seed, so its looks are unknown.")
-        states = episode.sim_state()
-        scenario.begin(EpisodeRandom(episode.seed or 0, 0))
-        rows, fresh = _RecordedRows(episode, info), _FreshFrames(_cameras_of(workplace.env), info)
-        with workplace.writer.episode(episode.id, seed=episode.seed, instruction=episode.instruction) as made:
-            for i, state in enumerate(workplace.transfer(states)):
-                world.core.set_state(state)
-                world.refresh()
-                # Cameras count control steps to know when a frame is due. The first row always has one.
-                world.core.steps[0] = round(float(world.time) * world.frequency) if i else 0
-                made.add({**rows.at(i), **fresh.read(rows.capture_times(i))}, states[i])
-                workplace.count_row()
-            made.finish(episode.success, {**episode.outcome, **workplace.outcome(episode)})
-        return RerenderResult(episode_id=episode.id, rows=len(states))
+def _render(maker: EpisodeMaker, episode: EpisodeRecord) -> RerenderResult:
+    """Render one episode: in each row, the cameras that have a frame due."""
+    scenario, info = maker.env.scenario, maker.writer.info
+    world = scenario.world
+    if episode.seed is None and maker.scene.physics.randomisation is not None:
+        raise InvalidSetup(f"Episode {episode.id!r} was randomised without a seed, so its appearance is unknown.")
+    states = episode.sim_state()
+    scenario.begin(EpisodeRandom(episode.seed or 0, 0))
+    port = next((port for port in maker.env.stack.ports if isinstance(port, SimCameraPort)), None)
+    rows, fresh = _RecordedRows(episode, info), _FreshFrames(port, info)
+    with maker.writer.episode(episode.id, seed=episode.seed, instruction=episode.instruction) as made:
+        for i, state in enumerate(maker.transfer(states)):
+            world.core.set_state(state)
+            world.refresh()
+            # Cameras count control steps to know when a frame is due. The first row always has one.
+            world.core.steps[0] = round(float(world.time) * world.frequency) if i else 0
+            made.add({**rows.at(i), **fresh.read(rows.capture_times(i))}, states[i])
+        made.finish(episode.success, {**episode.outcome, **maker.outcome(episode)})
+    return RerenderResult(episode_id=episode.id, rows=len(states))
 
 
 class _RecordedRows:
@@ -111,7 +137,7 @@ class _FreshFrames:
         """Read from the cameras of an environment, if it has any, from the start of an episode."""
         self._port = port
         self._images = {feature.key: feature.is_image for feature in info.features}
-        self._drawn: dict[str, float] = {}
+        self._captured: dict[str, float] = {}
         self._times: dict[str, Any] = {}
 
     def read(self, times: Mapping[str, Any]) -> dict[str, Any]:
@@ -123,10 +149,10 @@ class _FreshFrames:
         if self._port is None:
             return {}
         frames = self._port.observe()[keys.FRAMES]
-        drawn = {key.removeprefix(f"{keys.FRAMES}/"): time for key, time in self._port.capture_times().items()}
+        captured = {key.removeprefix(f"{keys.FRAMES}/"): time for key, time in self._port.capture_times().items()}
         row: dict[str, Any] = {}
         for camera, frame in frames.items():
-            is_new = drawn[camera] != self._drawn.get(camera)
+            is_new = captured[camera] != self._captured.get(camera)
             if is_new:
                 self._times[camera] = times[camera]
             row[time_key(camera)] = self._times[camera]
@@ -134,7 +160,7 @@ class _FreshFrames:
             for name, value in frame.items():
                 key = f"{FRAMES}{camera}/{name}"
                 row[key] = np.ascontiguousarray(value) if is_new or not self._images.get(key) else None
-        self._drawn = drawn
+        self._captured = captured
         return {key: value for key, value in row.items() if key in self._images}
 
 
@@ -158,8 +184,3 @@ def camera_names(info: DatasetInfo) -> list[str]:
 def is_of_camera(key: str, cameras: list[str]) -> bool:
     """Return whether a feature is a frame, a matrix, a capture time or a flag of one of these cameras."""
     return any(f"/{keys.FRAMES}/{name}/" in f"{key}/" for name in cameras)
-
-
-def _cameras_of(env: Env) -> SimCameraPort | None:
-    ports = env.stack.ports
-    return next((port for port in ports if isinstance(port, SimCameraPort)), None)

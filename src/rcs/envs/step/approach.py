@@ -16,7 +16,7 @@ from rcs.envs.spaces import ARM_KEYS, Observation
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.stack import NAMELESS, Nested, Stack
 from rcs.errors import DeviceFault, InvalidSetup, Refused
-from rcs.planning.interpolation import PEAK_SPEED, minimum_jerk
+from rcs.planning.timing import MINIMUM_JERK_PEAK, minimum_jerk
 from rcs.sim.scene import RobotPlacement
 
 SPEED = 0.05
@@ -168,7 +168,7 @@ class Approach:
     def _duration(self, ways: Sequence[_Way]) -> float:
         """Return how long the longest way takes [s]; all robots arrive together."""
         longest = max(float((np.abs(way.goal - way.start) / way.speed).max()) for way in ways)
-        return PEAK_SPEED["minimum_jerk"] * longest / self.speed
+        return MINIMUM_JERK_PEAK * longest / self.speed
 
     def _question(self, ways: Sequence[_Way]) -> str:
         parts: list[str] = []

@@ -1,4 +1,4 @@
-"""What a worker writes in its own folder travels with its results, and nothing stays behind."""
+"""Files of a worker are returned with its results, and nothing stays behind."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pathlib import Path
 import pytest
 
 from rcs.errors import InvalidSetup
-from rcs.rollout.parcel import Courier, Luggage, Parcel, packed
+from rcs.rollout.remote_files import FileWorker, SentAgent, read_files, write_files
 
 DYING = """
 import os, signal, sys, tempfile
 from pathlib import Path
-from rcs.rollout.parcel import Courier
+from rcs.rollout.remote_files import FileWorker
 tempfile.tempdir = sys.argv[1]
-courier = Courier(lambda folder: folder.mkdir())
+worker = FileWorker(lambda folder: folder.mkdir())
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -51,31 +51,30 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_each_result_takes_along_its_own_files_and_no_others(place: Path) -> None:
-    courier = Courier(Writes, outbox="out")
-    first, second = courier.attempt(1), courier.attempt(2)
-    assert (first.result, second.result) == (-1, -2)
-    assert set(first.files) == {"deep/1", "empty"} and set(second.files) == {"deep/2", "empty"}
-    assert bytes(second.by_folder()["deep"]["2"]) == b"the number 2"
-    courier.close()
+    worker = FileWorker(Writes, outbox="out")
+    (first, files), (second, more) = worker.attempt(1), worker.attempt(2)
+    assert (first, second) == (-1, -2)
+    assert set(files) == {"deep/1", "empty"} and set(more) == {"deep/2", "empty"}
+    assert bytes(more["deep/2"]) == b"the number 2"
+    worker.close()
 
 
 def test_files_arrive_as_they_were_sent(place: Path, tmp_path: Path) -> None:
-    courier = Courier(Writes)
-    sent = courier.attempt(7)
-    arrived: Parcel = pickle.loads(pickle.dumps(sent))
-    arrived.unpack(tmp_path / "there")
-    there = {path: data.tobytes() for path, data in packed(tmp_path / "there").items()}
+    worker = FileWorker(Writes)
+    sent = worker.attempt(7)
+    write_files(pickle.loads(pickle.dumps(sent))[1], tmp_path / "there")
+    there = {path: data.tobytes() for path, data in read_files(tmp_path / "there", tmp_path / "there").items()}
     assert there == {"out/deep/7": b"the number 7", "out/empty": b"", "own": b""}
-    courier.close()
+    worker.close()
 
 
 @pytest.mark.parametrize("kind", ["folder", "file"])
-def test_luggage_has_its_name_and_contents_where_it_arrives(tmp_path: Path, kind: str) -> None:
+def test_a_sent_checkpoint_has_its_name_and_contents(tmp_path: Path, kind: str) -> None:
     (tmp_path / "here/checkpoint/deep").mkdir(parents=True)
     (tmp_path / "here/checkpoint/weights").write_bytes(b"\0\1")
     (tmp_path / "here/checkpoint/deep/more").touch()
     path = tmp_path / ("here/checkpoint" if kind == "folder" else "here/checkpoint/weights")
-    arrived: Luggage = pickle.loads(pickle.dumps(Luggage.of(path)))
+    arrived: SentAgent = pickle.loads(pickle.dumps(SentAgent.of(path)))
     place = arrived.unpack(tmp_path / "there")
     assert place.name == path.name
     if kind == "folder":
@@ -84,20 +83,25 @@ def test_luggage_has_its_name_and_contents_where_it_arrives(tmp_path: Path, kind
         assert place.read_bytes() == b"\0\1"
 
 
-def test_a_courier_leaves_nothing_behind(place: Path) -> None:
-    courier = Courier(Writes)
+def test_an_agent_that_is_no_path_is_sent_as_it_is(tmp_path: Path) -> None:
+    assert SentAgent.of("expert").unpack(tmp_path / "there") == "expert"
+    assert not (tmp_path / "there").exists()
+
+
+def test_a_worker_leaves_nothing_behind(place: Path) -> None:
+    worker = FileWorker(Writes)
     assert list(place.iterdir())
-    courier.close()
+    worker.close()
     assert list(place.iterdir()) == []
 
 
-def test_a_courier_whose_worker_cannot_be_made_leaves_nothing_behind(place: Path) -> None:
+def test_a_worker_whose_worker_cannot_be_made_leaves_nothing_behind(place: Path) -> None:
     def make(folder: Path) -> Writes:
         folder.mkdir()
         raise InvalidSetup("no such robot")
 
     with pytest.raises(InvalidSetup, match="no such robot"):
-        Courier(make)
+        FileWorker(make)
     assert list(place.iterdir()) == []
 
 
@@ -106,6 +110,6 @@ def test_what_a_killed_worker_left_is_removed_by_the_next_one(place: Path, caplo
         assert process.wait(60) == -signal.SIGKILL
     assert len(list(place.iterdir())) == 2
     with caplog.at_level(logging.ERROR):
-        courier = Courier(Writes)
-        courier.close()
+        worker = FileWorker(Writes)
+        worker.close()
     assert list(place.iterdir()) == []

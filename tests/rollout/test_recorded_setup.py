@@ -1,4 +1,4 @@
-"""What a replay makes of a dataset's setup: a dataset must not decide which code is imported."""
+"""The setup of a dataset: it must not decide which code is imported."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 
 import rcs
 from rcs.errors import InvalidSetup
-from rcs.rollout.look import RECORDED, physics_of, setup_of
+from rcs.rollout.recorded_setup import RECORDED, physics_of, setup_of
 from rcs.rollout.replay import replay
 
 JOINTS = Feature(key="observation/joints", shape=(7,), dtype="float64")
