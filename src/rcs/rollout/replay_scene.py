@@ -10,12 +10,12 @@ from rcs_data import DatasetInfo
 from rcs_data.feature import Colour
 
 from rcs.envs.assemble import assemble
-from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.env import Env
+from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.observers.recorder import dataset_info
 from rcs.envs.parts import Parts
-from rcs.envs.variation.randomiser import Randomiser
 from rcs.envs.setup import Setup
+from rcs.envs.variation.randomiser import Randomiser
 from rcs.rollout.recorded_setup import RECORDED
 from rcs.setups.make import resolve
 from rcs.sim.camera import Quality
