@@ -11,7 +11,7 @@ from rcs_data import Dataset, DatasetWriter
 import rcs
 from rcs.agents import Agent, agent_for
 from rcs.envs import Observer, Recorder, dataset_info
-from rcs.envs.step.audience import row
+from rcs.envs.step.judge import row
 from rcs.errors import WrongOrder
 from rcs.rollout.episode import run_episode
 from rcs.testing.env_contract import require_same_bits

@@ -19,7 +19,8 @@ from rcs.envs.spaces import JOINTS, Observation
 from rcs.envs.start import Start, check_start, check_state
 from rcs.envs.step.approach import Approach
 from rcs.envs.step.clock import Clock
-from rcs.envs.step.engine import DIVERGED, FAULT, Approaches, Engine
+from rcs.envs.step.engine import Approaches, Engine
+from rcs.envs.step.judge import DIVERGED, FAULT
 from rcs.envs.step.scenario import Scenario
 from rcs.envs.step.stack import Stack
 from rcs.envs.step.state import EnvState, read_state, write_state
@@ -76,7 +77,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         """
         self._engine = Engine(stack, clock, scenario, max_episode_steps=max_episode_steps)
         for observer in observers:
-            self._engine.audience.add(observer)
+            self._engine.observers.add(observer)
         if picture is not None:
             self._engine.close_too(picture.close)
         if instruction is not None:
@@ -153,15 +154,15 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
 
     def add_observer(self, observer: Observer) -> None:
         """Have an observer see every step from the next reset on."""
-        self._engine.audience.add(observer)
+        self._engine.observers.add(observer)
 
     def remove_observer(self, observer: Observer) -> None:
         """Have an observer see no more steps."""
-        self._engine.audience.remove(observer)
+        self._engine.observers.remove(observer)
 
     def note(self, **notes: Any) -> None:
         """Give observers something to see beside the next step, such as who acted or how long a policy took."""
-        self._engine.audience.note(notes)
+        self._engine.observers.note(notes)
 
     def limits(self) -> Limits:
         """Return what bounds every robot's motion now: joints, speeds, the step of an action. Nothing moves."""
@@ -189,7 +190,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             Refused: Nobody agreed that real arms move, or a gate has stopped them on the way.
             DeviceFault: A device is in its fault state, which `recover` clears, or a real arm has not arrived.
         """
-        with self._engine.turn.take("reset"):
+        with self._engine.calls.enter("reset"):
             if not self._engine.is_open:
                 raise WrongOrder("reset was called on a closed environment; make a new one.")
             state, start, approach = self._check_options(options)
@@ -226,7 +227,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             SimulationError: MuJoCo has given a step up, in its words, such as for want of memory for contacts.
         """
         engine = self._engine
-        with engine.turn.take("step"):
+        with engine.calls.enter("step"):
             engine.require_running()
             if engine.is_over:
                 raise WrongOrder("step was called after the end of the episode; call reset.")
@@ -262,7 +263,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         Raises:
             WrongOrder: The environment drives real devices, was not reset, is closed, or another thread uses it.
         """
-        with self._engine.turn.take("get_state"):
+        with self._engine.calls.enter("get_state"):
             return read_state(self._engine, _ONLY)
 
     def set_state(self, state: EnvState) -> Observation:
@@ -280,7 +281,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             InvalidSetup: The state is that of another environment, or of several copies.
             WrongOrder: The environment drives real devices, was not reset, is closed, or another thread uses it.
         """
-        with self._engine.turn.take("set_state"):
+        with self._engine.calls.enter("set_state"):
             return write_state(self._engine, state, _ONLY)
 
     def hold(self) -> None:
@@ -303,7 +304,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             WrongOrder: The environment was not reset, is closed, or another thread uses it.
             UnknownName: There is no robot of this name.
         """
-        with self._engine.turn.take("rebase"):
+        with self._engine.calls.enter("rebase"):
             self._engine.rebase(robot)
 
     def recover(self) -> None:
@@ -313,7 +314,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             WrongOrder: The environment is closed, or another thread uses it.
             DeviceFault: A device cannot recover.
         """
-        with self._engine.turn.take("recover"):
+        with self._engine.calls.enter("recover"):
             self._engine.recover()
 
     def close(self) -> None:

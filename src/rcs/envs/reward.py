@@ -92,14 +92,14 @@ class Rewards:
         progress = self._progress(judgement)
         if diverged is not None:
             progress = np.where(diverged, self._potential, progress)
-        potential = np.where(terminated, 0.0, progress)
+        potential = _where(terminated, 0.0, progress)
         if judgement.reward is not None:
             reward = self._none + judgement.reward
         elif self._kind == "shaped":
             reward = self._discount * potential - self._potential + success
         elif self._kind == "dense":
-            worth = np.where(terminated, 1.0 / (1.0 - self._discount), 1.0)
-            reward = np.where(success, worth, self._of_state(progress, judgement.is_placed))
+            worth = _where(terminated, 1.0 / (1.0 - self._discount), 1.0)
+            reward = _where(success, worth, self._of_state(progress, judgement.is_placed))
         else:
             reward = self._none + success
         if diverged is not None and (judgement.reward is not None or self._kind != "shaped"):
@@ -121,3 +121,10 @@ class Rewards:
         # NumPy's own sums add in an order that may depend on how many copies there are.
         speed = np.sqrt(np.add.accumulate(velocities * velocities, axis=-1)[..., -1])
         return paid + STILL_SHARE * is_placed * (1.0 - np.tanh(STILLNESS * speed))
+
+
+def _where(condition: Any, chosen: Any, other: Any) -> Any:
+    """Return `np.where`, several times as fast for a number."""
+    if isinstance(condition, np.ndarray):
+        return np.where(condition, chosen, other)
+    return np.float64(chosen if condition else other)

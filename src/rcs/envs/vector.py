@@ -89,11 +89,11 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         """
         if not 0 <= copy < self.num_envs:
             raise InvalidSetup(f"copy is {copy}; valid is 0 to {self.num_envs - 1}.")
-        self._engine.audience.add(observer, copy)
+        self._engine.observers.add(observer, copy)
 
     def remove_observer(self, observer: Observer) -> None:
         """Have an observer see no more steps."""
-        self._engine.audience.remove(observer)
+        self._engine.observers.remove(observer)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
@@ -109,7 +109,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             WrongOrder: The environment is closed.
             InvalidSetup: Wrong seeds, an unknown option, or a mask of the wrong shape.
         """
-        with self._engine.turn.take("reset"):
+        with self._engine.calls.enter("reset"):
             if not self._engine.is_open:
                 raise WrongOrder("reset was called on a closed environment; make a new one.")
             mask = self._check_options(options)
@@ -132,7 +132,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
                 uses it.
         """
         engine = self._engine
-        with engine.turn.take("step"):
+        with engine.calls.enter("step"):
             engine.require_running()
             starting = None
             if engine.is_over.any():
@@ -164,7 +164,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             WrongOrder: The environment was not reset, an error broke the episodes off, it is closed, or another thread
                 uses it.
         """
-        with self._engine.turn.take("get_state"):
+        with self._engine.calls.enter("get_state"):
             return read_state(self._engine, self._check_copies(copies))
 
     def set_state(self, state: EnvState, copies: Sequence[int] | NDArray[np.integer] | None = None) -> Observation:
@@ -182,7 +182,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             WrongOrder: The environment was not reset, an error broke the episodes off, it is closed, or another thread
                 uses it.
         """
-        with self._engine.turn.take("set_state"):
+        with self._engine.calls.enter("set_state"):
             return write_state(self._engine, state, self._check_copies(copies))
 
     def _check_copies(self, copies: Sequence[int] | NDArray[np.integer] | None) -> NDArray[np.int32]:

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from rcs.envs.spaces import Observation
-from rcs.envs.step.engine import DIVERGED
+from rcs.envs.step.judge import DIVERGED
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, MissingDependency, WrongOrder
 from rcs.rl.flat import Flat

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from rcs.agents import Agent
-from rcs.envs.step.engine import DIVERGED, FAULT
+from rcs.envs.step.judge import DIVERGED, FAULT
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Attempt

@@ -26,7 +26,7 @@ from rcs.envs.observers.record import recorder_of
 from rcs.envs.observers.recorder import OBJECTS, Recorder, dataset_info, require_recordable
 from rcs.envs.setup import Setup
 from rcs.envs.step.approach import SPEED
-from rcs.envs.step.engine import FAULT
+from rcs.envs.step.judge import FAULT
 from rcs.envs.step.stack import for_all
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.cluster import LOCAL

@@ -11,7 +11,7 @@ import numpy as np
 from rcs.agents import Agent
 from rcs.envs.env import Env
 from rcs.envs.spaces import TWIST, Observation
-from rcs.envs.step.engine import DIVERGED, FAULT
+from rcs.envs.step.judge import DIVERGED, FAULT
 from rcs.errors import InvalidSetup
 
 OPEN = 0.5

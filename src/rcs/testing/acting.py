@@ -29,7 +29,8 @@ def go(env: Env, observation: Mapping[str, Any]) -> Action:
 
 def joints_of(env: Env) -> dict[str, NDArray[np.float64]]:
     """Return the measured joints of every robot [rad], by its name."""
-    return {name: np.array(stack.measure()[JOINTS]) for name, stack in chains_of(env).items()}
+    measured = env.stack.measure()
+    return {name: np.array(measured[name][JOINTS]) for name in chains_of(env)}
 
 
 def lift(env: Env) -> Any:

@@ -11,6 +11,7 @@ from rcs.envs.layers.relative import shift
 from rcs.envs.ports.port import Port
 from rcs.envs.spaces import JOINTS, TQUAT, joints_space, tquat_space
 from rcs.envs.step.chain import Chain
+from rcs.envs.step.stack import Stack
 from rcs.errors import InvalidAction
 from rcs.kinematics import IkStatus, kinematics_of
 from rcs.spatial import Pose, compose, distance
@@ -101,7 +102,8 @@ class Blocked(Port):
 
 def test_the_target_of_a_blocked_arm_does_not_wind_up() -> None:
     port = Blocked(2)
-    stack = Chain([port], [LimitStep(np.full(2, 0.1), 0.6), Relative(JOINTS, frequency=30.0, joint_speed=3.0)])
+    layers = [LimitStep(np.full(2, 0.1), 0.6), Relative(JOINTS, frequency=30.0, joint_speed=3.0)]
+    stack = Stack(Chain([port], layers))
     stack.reset(stack.measure(), ...)
     for _ in range(100):
         stack.send(stack.map({JOINTS: np.full(2, 0.1)}))

@@ -74,14 +74,14 @@ def action_of(env: Any) -> Any:
 
 @pytest.mark.parametrize("method", ["action_spaces", "observation_spaces"])
 def test_a_layer_that_asks_for_a_key_that_is_not_there_is_named_when_it_is_assembled(method: str) -> None:
-    with pytest.raises(InvalidSetup, match=r"The layer WrongKey asks for the key 'griper'.*there are 'joints'"):
+    with pytest.raises(InvalidSetup, match=r"The layer WrongKey needs the key 'griper'.*the keys are 'joints'"):
         rcs.make("Free", layers=[WrongKey(method)])
 
 
 @pytest.mark.parametrize("method", ["reset", "map_observation", "map_action", "map_executed"])
 def test_a_layer_that_asks_for_a_key_that_is_not_there_is_named_when_it_does(method: str) -> None:
     env = rcs.make("Free", layers=[WrongKey(method)])
-    with env, pytest.raises(InvalidSetup, match=r"The layer WrongKey asks for the key 'griper'.*there are .*'joints'"):
+    with env, pytest.raises(InvalidSetup, match=r"The layer WrongKey needs the key 'griper'.*the keys are .*'joints'"):
         run(env)
 
 

@@ -15,7 +15,7 @@ import pytest
 import rcs
 from rcs.agents import agent_for
 from rcs.envs.setup import Setup
-from rcs.envs.step.audience import row
+from rcs.envs.step.judge import row
 from rcs.errors import InvalidSetup, WrongOrder
 from rcs.testing.env_contract import require_same_bits
 

@@ -126,6 +126,7 @@ class Approach:
     def _ways(self, stack: Stack, placements: Sequence[RobotPlacement]) -> list[_Way]:
         """Return the way of every robot that has one, from where it is measured now."""
         ways = list[_Way]()
+        measured = stack.measure_devices()
         for one in placements:
             if (goal := self.robots.get(one.name)) is None:
                 continue
@@ -144,7 +145,7 @@ class Approach:
                     name=one.name,
                     chain=chain,
                     joints=one.arm.joints,
-                    start=np.clip(stack.chains[chain].measure_devices()[keys.JOINTS], box.low, box.high),
+                    start=np.clip(measured[chain][keys.JOINTS], box.low, box.high),
                     goal=goal[keys.JOINTS],
                     effector={key: value for key, value in goal.items() if key != keys.JOINTS},
                     speed=np.min([np.array(one.arm.velocity_limit), *speeds], axis=0),
@@ -197,8 +198,7 @@ class _Way:
 def _stay(stack: Stack) -> Nested:
     """Return targets with which all robots stay where they are measured."""
     stay: Nested = {}
-    for name, chain in stack.chains.items():
-        boxes = chain.executed_spaces
-        found = chain.at_rest(chain.measure_devices())
-        stay[name] = {key: np.clip(value, boxes[key].low, boxes[key].high) for key, value in found.items()}
+    for name, own in stack.at_rest().items():
+        boxes = stack.chains[name].executed_spaces
+        stay[name] = {key: np.clip(value, boxes[key].low, boxes[key].high) for key, value in own.items()}
     return stay

@@ -16,19 +16,22 @@ from rcs.errors import InvalidSetup, RcsError
 
 
 class Chain:
-    """Ports at the bottom, layers on top of each other, for a single environment and for a batch."""
+    """The ports of one robot and the layers above them, and how actions and observations pass the layers.
+
+    It moves no device; `Stack` does. The methods serve a single environment and a batch.
+    """
 
     def __init__(self, ports: Sequence[Port], layers: Sequence[Layer] = (), leading: tuple[int, ...] = ()) -> None:
         """Put a chain together.
 
         Args:
-            ports: What talks to the devices. Ports may give parts of the same nested key, such as `frames`.
+            ports: Access to the devices. Ports may give parts of the same nested key, such as `frames`.
             layers: From the lowest to the highest.
             leading: Leading shape of all arrays: () or (copies,).
 
         Raises:
-            InvalidSetup: Two ports take or give the same key, or a layer asks for a key that is not below it, or
-                returns no spaces.
+            InvalidSetup: Two ports take or give the same key, or a layer needs a key that is not below it or returns
+                no spaces.
         """
         self.ports = list(ports)
         self.layers = list(layers)
@@ -41,10 +44,10 @@ class Chain:
             observations = _merged_spaces(observations, port.observation_spaces, type(port).__name__)
         self._is_disjoint = sum(len(port.observation_spaces) for port in ports) == len(observations)
         self.executed_spaces = dict(boxes)
-        """Space of what is sent to the ports."""
-        self._given = dict(observations)
+        """Spaces of the targets that the ports take."""
+        self._measured_spaces = dict(observations)
         self._forms: dict[int, tuple[dict[str, spaces.Box], dict[str, spaces.Space[Any]]]] = {}
-        """By the `id` of a layer, the actions that the level below it takes, and the observations that it gives."""
+        """Actions that the level below a layer takes and observations that the layer gives, by the layer's `id`."""
         for layer in layers:
             below = boxes
             try:
@@ -57,29 +60,22 @@ class Chain:
             self._forms[id(layer)] = below, observations
         self._leading = leading
         self._is_mapped = self._is_lifted = False
-        """Whether what the layers return was compared with their spaces: the first time is enough."""
+        """Whether the values that layers return have been compared with their spaces; once is enough."""
         self.check = ActionCheck(boxes, leading)
         """Checks an action of the highest level; raises InvalidAction."""
         self.joint_space = next((port.joint_space for port in ports if port.joint_space is not None), boxes.get(JOINTS))
-        """Space of the joint targets of the robot's arm, which it also takes where its actions are poses or twists."""
+        """Space of the arm's joint targets, which it also takes where its actions are poses or twists."""
         self._check_executed = ActionCheck(self.executed_spaces, leading)
-        self._check_led = ActionCheck(_led_by_joints(self.executed_spaces, self.joint_space), leading)
+        self._check_joints = ActionCheck(_with_joints(self.executed_spaces, self.joint_space), leading)
         self.action_spaces = dict(boxes)
         self.observation_spaces = dict(observations)
-        self.executed: dict[str, NDArray[Any]] = {}
-        """The last action as it was sent to the ports."""
-        self.target: dict[str, NDArray[Any]] = {}
-        """What the last action came to, on the highest level: absolute targets, cut where a layer has cut them."""
-        self._measured: Observation = {}
-        self.fallible = [port for port in self.ports if port.can_fail]
-        """The ports that may report faults."""
 
     def map(self, action: Any) -> Action:
-        """Check an action and map it down; no device sees it, and no layer remembers it.
+        """Check an action and map it down; no layer remembers it.
 
         Raises:
             InvalidAction: The action is not valid.
-            InvalidSetup: A layer asks for a key that is not there, or returns other keys or shapes than it says.
+            InvalidSetup: A layer needs a key that is missing, or returns other keys or shapes than its spaces have.
         """
         mapped = self.check(action)
         for layer in reversed(self.layers):
@@ -93,50 +89,31 @@ class Chain:
         self._is_mapped = True
         return mapped
 
-    def check_executed(self, action: Any, *places: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Check an action of the lowest level, as `ActionCheck` does, or one that `lead` takes.
-
-        Raises:
-            InvalidAction: The action is not valid.
-        """
-        is_led = isinstance(action, Mapping) and JOINTS in action
-        return (self._check_led if is_led else self._check_executed)(action, *places)
-
-    def send(self, mapped: Action) -> None:
-        """Set the devices' targets, and tell the layers from the lowest up what they came to; nothing moves yet."""
-        for port in self.ports:
-            port.command(mapped)
-        self._commit(mapped)
-
-    def lead(self, targets: Action) -> None:
-        """Set the devices' targets past the layers, which are to be reset after it; an arm's may always be `joints`."""
-        for port in self.ports:
-            port.command(targets)
-        self.executed = targets
-
-    def at_rest(self, measured: Observation) -> Action:
-        """Return the action of the lowest level with which all stay where they are measured."""
-        return {
-            key: np.zeros(box.shape, box.dtype) if key == TWIST else np.asarray(measured[key], box.dtype)
-            for key, box in self.executed_spaces.items()
-        }
-
-    def stay(self) -> None:
-        """Hold all devices, and tell the layers that the measured state is what the last action came to."""
-        measured = self.measure_devices()
-        for port in self.ports:
-            port.hold()
-        self._commit(self.at_rest(measured))
-
-    def _commit(self, executed: Action) -> None:
-        self.executed = executed
+    def map_executed(self, executed: Action) -> Action:
+        """Pass the executed targets up through all layers, which remember them, and return the result."""
         for layer in self.layers:
             try:
                 executed = layer.map_executed(executed)
             except KeyError as err:
                 _explain(layer, err, executed)
                 raise
-        self.target = executed
+        return executed
+
+    def check_executed(self, action: Any, *places: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Check targets of the lowest level as `ActionCheck` does; an arm may always have `joints`.
+
+        Raises:
+            InvalidAction: The targets are not valid.
+        """
+        has_joints = isinstance(action, Mapping) and JOINTS in action
+        return (self._check_joints if has_joints else self._check_executed)(action, *places)
+
+    def at_rest(self, measured: Observation) -> Action:
+        """Return the targets of the lowest level with which all devices stay where they are measured."""
+        return {
+            key: np.zeros(box.shape, box.dtype) if key == TWIST else np.asarray(measured[key], box.dtype)
+            for key, box in self.executed_spaces.items()
+        }
 
     def measure(self) -> Observation:
         """Return the observation of the lowest level."""
@@ -146,25 +123,7 @@ class Chain:
                 observation.update(port.observe())
             else:
                 observation = _merged(observation, port.observe())
-        self._measured = observation
         return observation
-
-    def measure_devices(self) -> Observation:
-        """Return the last observation with everything that takes commands measured anew."""
-        observation = dict(self._measured)
-        for port in self.ports:
-            if port.action_spaces:  # what only observes, such as a camera, need not be read for this
-                observation.update(port.observe())
-        return observation
-
-    def rebase(self) -> None:
-        """Make all devices and layers go on from the measured state."""
-        for port in self.ports:
-            port.rebase()
-        observation = self.measure_devices()
-        for layer in self.layers:
-            layer.rebase(observation)
-            observation = layer.map_observation(observation)
 
     def lift(self, observation: Observation) -> Observation:
         """Map an observation of the lowest level up through all layers."""
@@ -172,15 +131,21 @@ class Chain:
             observation = layer.map_observation(observation)
         return observation
 
+    def rebase(self, observation: Observation) -> None:
+        """Make all layers continue from an observation of the lowest level."""
+        for layer in self.layers:
+            layer.rebase(observation)
+            observation = layer.map_observation(observation)
+
     def reset(self, observation: Observation, where: Where) -> None:
-        """Tell all layers that some copies start anew, with the lowest level's observation.
+        """Start episodes of some copies in all layers, with an observation of the lowest level.
 
         Raises:
-            InvalidSetup: A layer asks for a key that is not there, or returns other keys or shapes than it says.
+            InvalidSetup: A layer needs a key that is missing, or returns other keys or shapes than its spaces have.
         """
         if not self._is_lifted:
             ports = ", ".join(type(port).__name__ for port in self.ports)
-            _require_form(f"{ports} give the observation", observation, self._given, self._leading)
+            _require_form(f"{ports} give the observation", observation, self._measured_spaces, self._leading)
         for layer in self.layers:
             try:
                 layer.reset(observation, where)
@@ -193,15 +158,8 @@ class Chain:
                 _require_form(f"The layer {layer} gives the observation", observation, given, self._leading)
         self._is_lifted = True
 
-    def info(self) -> dict[str, NDArray[Any]]:
-        """Return what the layers tell of the last action."""
-        told: dict[str, NDArray[Any]] = {}
-        for layer in self.layers:
-            told.update(layer.info())
-        return told
-
     def __str__(self) -> str:
-        """Return the chain from top to bottom, a line each, with what every part is for."""
+        """Return the chain from top to bottom, a line each with its purpose."""
         lines = [(str(layer), _purpose(layer)) for layer in reversed(self.layers)]
         for port in self.ports:
             taken, given = ", ".join(port.action_spaces) or "-", ", ".join(port.observation_spaces)
@@ -210,33 +168,33 @@ class Chain:
         return "\n".join(f"  {name:{width}}  # {purpose}" for name, purpose in lines)
 
 
-def _led_by_joints(boxes: Mapping[str, spaces.Box], joints: spaces.Box | None) -> dict[str, spaces.Box]:
-    """Return spaces in which the arm's is that of joints, whatever else its actions are."""
+def _with_joints(boxes: Mapping[str, spaces.Box], joints: spaces.Box | None) -> dict[str, spaces.Box]:
+    """Return spaces in which the arm takes joints, whatever else it takes otherwise."""
     if joints is None:
         return dict(boxes)
     return {JOINTS: joints, **{key: box for key, box in boxes.items() if key not in ARM_KEYS}}
 
 
 def _require_spaces(who: str, found: Any, kind: type[spaces.Space[Any]]) -> None:
-    """Check what a layer says that it takes or gives.
+    """Check the spaces that a layer returns.
 
     Raises:
-        InvalidSetup: It is no dictionary of spaces.
+        InvalidSetup: They are no dictionary of spaces.
     """
     if not isinstance(found, Mapping) or not all(isinstance(space, kind) for space in found.values()):
         raise InvalidSetup(f"{who} returned {found!r}; valid is a dictionary with a {kind.__name__} for each key.")
 
 
 def _explain(layer: Layer, error: KeyError, below: Mapping[str, Any]) -> None:
-    """Raise an error that names the layer, unless the error is one of ours, which says enough.
+    """Raise an error that names the layer in place of Python's own KeyError.
 
     Raises:
-        InvalidSetup: In the place of Python's own KeyError.
+        InvalidSetup: The error is not one of `rcs.errors`, which say enough.
     """
     if not isinstance(error, RcsError):
         keys = ", ".join(map(repr, below))
         raise InvalidSetup(
-            f"The layer {layer} asks for the key {error}, which is not there; there are {keys}."
+            f"The layer {layer} needs the key {error}, which is missing; the keys are {keys}."
         ) from error
 
 

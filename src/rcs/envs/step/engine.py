@@ -13,28 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs._core import StepEnd
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.envs.spaces import Observation
 from rcs.envs.start import Start
-from rcs.envs.step.audience import Audience, Step, row
 from rcs.envs.step.clock import Clock
+from rcs.envs.step.exclusive_calls import ExclusiveCalls
+from rcs.envs.step.judge import FAULT, Judge, Step, row
+from rcs.envs.step.observers import Observers
 from rcs.envs.step.scenario import Scenario
 from rcs.envs.step.stack import Nested, Stack, copied, for_all
-from rcs.envs.step.turn import Turn
 from rcs.errors import DeviceFault, InvalidAction, Refused, WrongOrder
 from rcs.sim.world import Copies
-
-DIVERGED, FAULT = "diverged", "fault"
-"""What `info["end"]` says of a simulation that left the range of finite numbers, and of a device that failed, or of a
-simulated arm that collided."""
-
-_FAILED, _FAULT = StepEnd.failed.value, StepEnd.fault.value
-_ENDS = {end.value: end.name for end in StepEnd}
-END_NAMES = np.array([{**_ENDS, _FAILED: DIVERGED}.get(i, "") for i in range(1 + max(_ENDS))])
-"""What `info["end"]` says of a step, by the value of `StepEnd`."""
-
 
 Approaches = Callable[[Stack, Clock, Callable[[], bool]], None]
 """Moves real robots slowly, unless the last argument says that they are told to hold."""
@@ -56,7 +46,7 @@ class Engine:
         """
         self.stack = stack
         self.scenario = scenario
-        self.turn = Turn()
+        self.calls = ExclusiveCalls()
         self.leading: tuple[int, ...] = () if scenario is None else scenario.world.leading
         self.seeds = np.zeros(self.leading, np.int64)
         self.episodes = np.full(self.leading, -1, np.int64)
@@ -66,12 +56,9 @@ class Engine:
         self.is_open = True
         self.instruction = "" if scenario is None else scenario.task.instruction
         self._clock = clock
-        self._max_episode_steps = max_episode_steps
-        self.audience = Audience(stack, clock, scenario)
-        """The observers."""
+        self._judge = Judge(stack, clock, scenario, max_episode_steps)
+        self.observers = Observers(stack, clock, scenario)
         self._resources: list[Callable[[], None]] = [] if scenario is None else [scenario.world.close]
-        self._ends: NDArray[np.uint8] = clock.ends.reshape(self.leading)
-        self._steps: NDArray[np.int64] = np.zeros(self.leading, np.int64)
         self._is_started = False
         self._broken_off_by = ""
         self._must_rebase = False
@@ -125,9 +112,9 @@ class Engine:
         self._must_rebase = False
         self._is_started, self._broken_off_by = True, ""
         info = {} if self.scenario is None else self.scenario.describe()
-        info.update(time=self._time(), instruction=np.full(self.leading, self.instruction, object))
+        info.update(time=self._judge.time(), instruction=np.full(self.leading, self.instruction, object))
         info = info if self.leading else row(info, ...)
-        self.audience.tell_starts(observation, info, self._seeds_of(copies))
+        self.observers.on_reset(observation, info, self._seeds_of(copies))
         return observation, info
 
     def _approach(self, approach: Approaches) -> None:
@@ -141,8 +128,8 @@ class Engine:
             observation = self.observe_start(copies)
             if self.scenario is not None:
                 self.scenario.judge_start(copies)
-                info = {**self.scenario.describe(), "time": self._time()}
-                self.audience.tell_starts(observation, info, self._seeds_of(copies))
+                info = {**self.scenario.describe(), "time": self._judge.time()}
+                self.observers.on_reset(observation, info, self._seeds_of(copies))
         except BaseException as err:
             self._break_off(err)
             raise
@@ -155,9 +142,8 @@ class Engine:
     def _begin(self, copies: Copies) -> None:
         where: Where = ... if copies is None else copies
         self.episodes[where] += 1
-        # Of one copy they are numbers of NumPy's, which are faster than arrays.
-        self._steps, self.is_over = np.array(self._steps), np.array(self.is_over)
-        self._steps[where] = 0
+        self._make_arrays()
+        self._judge.steps[where] = 0
         self.is_over[where] = False
         if self.scenario is not None:
             self.scenario.begin(EpisodeRandom(self.seeds[where], self.episodes[where]), copies)
@@ -210,11 +196,11 @@ class Engine:
 
     def _step(self, action: Any, starting: NDArray[np.bool_] | None) -> Step:
         measured: Nested | None = None
-        told: dict[str, Any] = {}
-        ended: dict[str, str] = {}
+        refused: Refused | None = None
         ids = None if starting is None else np.flatnonzero(starting).astype(np.int32)
+        observers = self.observers
         try:
-            self.audience.after_hold = self._must_rebase
+            observers.after_hold = self._must_rebase
             if self._must_rebase:
                 self._must_rebase = False  # before, for another thread may set it meanwhile
                 self.stack.rebase()
@@ -223,21 +209,22 @@ class Engine:
             try:
                 self.stack.send(self.stack.admit(mapped))
             except Refused as err:
-                told["refused"] = str(err)
-                ended = {"gate": str(err)} if err.ends_episode else ended
+                refused = err
                 self.stack.stay()
                 self._must_rebase = True
-            self.audience.command_time = self._clock.now()
+            observers.command_time = self._clock.now()
             if self._must_rebase:
-                self.audience.after_hold = True
-                self.stack.hold()  # refused, or another thread has said so before the targets were sent
+                observers.after_hold = True
+                self.stack.hold()  # after a refusal, or a call of `hold` by another thread before the targets were sent
             if ids is None or starting is None:
                 self._clock.advance(None, self._repeat)
             else:
                 self._clock.advance(np.flatnonzero(~starting).astype(np.int32))
                 self._begin(ids)
             measured = self.stack.measure()
-            faults = {**self.stack.faults(), **ended}
+            faults = self.stack.faults()
+            if refused is not None and refused.ends_episode:
+                faults["gate"] = str(refused)
         except DeviceFault as err:
             faults = self.stack.faults() or {"device": str(err)}
         if faults:
@@ -247,14 +234,28 @@ class Engine:
         assert measured is not None, "without a fault, everything was measured"
         if ids is not None:
             self.stack.reset(measured, ids)
-        observation = self._without_diverged(self.stack.lift(measured), starting)
-        step = self._judge(observation, starting, faults, told)
-        self._last_observation = step.observation
+        observation = self.stack.lift(measured)
+        collisions: dict[str, Any] | None = None
+        failed = self._judge.failed(starting)
+        if failed is not None:
+            observation = self._judge.without_diverged(observation, self._last_observation, failed)
+            collisions = self._judge.collisions(failed)
+            if any(port.can_fail for port in self.stack.ports):
+                self._hold_in_fault(collisions)  # real devices; in simulation alone, no time passes any more
+        step = self._judge.judge(observation, starting, failed, faults)
+        self.is_over = step.terminated | step.truncated
+        if not self.leading:
+            step.info.update(observers.info())
+        if refused is not None:
+            step.info["refused"] = str(refused)
+        if collisions is not None and not faults:
+            step.info["faults"] = collisions
+        self._last_observation = observation
         if starting is not None:
-            self.audience.tell_starts(step.observation, step.info, self._seeds_of(ids))
-        self.audience.tell_step(step, action, starting)
+            observers.on_reset(observation, step.info, self._seeds_of(ids))
+        observers.on_step(step, action, starting)
         if faults := step.info.get("faults", {}):
-            self._tell_ends(step, faults)
+            self._end_observers(step, faults)
         return step
 
     def _repeat(self) -> None:
@@ -263,76 +264,6 @@ class Engine:
             self.stack.repeat()
             if self._must_rebase:
                 self.stack.hold()
-
-    def _without_diverged(self, observation: Observation, starting: NDArray[np.bool_] | None) -> Observation:
-        """Return an observation in which copies whose simulation diverged show what they showed last."""
-        diverged = self._ends == _FAILED
-        if starting is not None:
-            diverged = diverged & ~starting
-        if not diverged.any():
-            return observation
-        return _with_rows(observation, self._last_observation, diverged if self.leading else ...)
-
-    def _judge(
-        self, observation: Observation, starting: NDArray[np.bool_] | None, faults: dict[str, str], told: dict[str, Any]
-    ) -> Step:
-        """Return the step that led to an observation."""
-        reward: Any = 0.0
-        terminated: Any = np.zeros(self.leading, np.bool_)
-        info: dict[str, Any] = {}
-        truncated = self._ends >= _FAILED
-        if starting is None:
-            self._steps = self._steps + 1
-        else:
-            self._steps = self._steps + ~starting
-            truncated = truncated & ~starting
-        if self.scenario is not None:
-            judgement = self.scenario.evaluate()
-            info, failed, diverged = judgement.info, truncated | bool(faults), None
-            if judgement.terminated is not None:
-                terminated = judgement.terminated if starting is None else judgement.terminated & ~starting
-            if truncated.any() if self.leading else truncated:
-                diverged = truncated & (self._ends == _FAILED)
-                told["faults"] = self.scenario.faults(truncated & ~diverged)
-                if any(port.can_fail for port in self.stack.ports):
-                    self._hold_in_fault(told["faults"])  # real devices; in simulation alone, no time passes any more
-            terminated = terminated & ~failed
-            reward = self.scenario.rewards.pay(
-                judgement, terminated=terminated, failed=failed, diverged=diverged, starting=starting
-            )
-            self.scenario.require_reward(reward, judgement)
-        if self._max_episode_steps is not None:
-            truncated = truncated | ((self._steps >= self._max_episode_steps) & ~terminated)
-            truncated = truncated if starting is None else truncated & ~starting
-        info = {**info, **self.stack.info(), "time": self._time(), "end": END_NAMES[self._ends]}
-        if not self._clock.is_real and (ages := self.stack.ages()):
-            info["ages"] = ages
-        if not self.leading:
-            info = row(info, ...)
-            info.update(self.audience.info())
-        info["target"] = copied(self.stack.target)
-        if told:
-            info.update(told)
-        if self._clock.is_real:
-            info.update(self._timing())
-        if faults:
-            info.update(end=FAULT, faults=faults)
-            terminated, truncated = np.False_, np.True_
-        self.is_over = terminated | truncated
-        return Step(observation=observation, reward=reward, terminated=terminated, truncated=truncated, info=info)
-
-    def _timing(self) -> dict[str, Any]:
-        """Return how late a step in real time ended, how old its measurements are [s], and the clamps so far."""
-        now = self._clock.now()
-        ages = {name: now - captured for name, captured in self.stack.capture_times().items()}
-        clamped = self.stack.clamped()
-        return {"late": self._clock.late, "ages": ages, **({"clamped": clamped} if clamped else {})}
-
-    def _time(self) -> Any:
-        """Return the time of the present observation [s]: that of the simulation, or the host's monotonic clock."""
-        if self.scenario is None:
-            return np.float64(self._clock.now())
-        return self.scenario.world.time.copy()
 
     def _seeds_of(self, started: Copies) -> dict[int, int | None]:
         """Return the seeds of copies that start an episode; None after the first: it depends on those before it."""
@@ -350,33 +281,37 @@ class Engine:
 
     def counters(self) -> dict[str, Any]:
         """Return what is counted of the episodes, each (*leading,)."""
-        return {"seeds": self.seeds, "episodes": self.episodes, "steps": self._steps, "is_over": self.is_over}
+        return {"seeds": self.seeds, "episodes": self.episodes, "steps": self._judge.steps, "is_over": self.is_over}
 
     def set_counters(self, rows: Mapping[str, NDArray[Any]], copies: NDArray[np.int32]) -> None:
         """Set what is counted of some copies' episodes, (copies,) each."""
         where: Any = copies if self.leading else ...
-        self._steps, self.is_over = np.array(self._steps), np.array(self.is_over)
+        self._make_arrays()
         for name, counted in self.counters().items():
             counted[where] = rows[name] if self.leading else rows[name][0]
+
+    def _make_arrays(self) -> None:
+        """Make arrays, which can be written, of NumPy's numbers, which a single environment has for speed."""
+        self._judge.steps, self.is_over = np.array(self._judge.steps), np.array(self.is_over)
 
     def go_on(self, copies: NDArray[np.int32]) -> Observation:
         """Observe after the state of some copies was set; their recordings end."""
         for copy in copies:
-            self.audience.tell_end("set_state", {"set_state": "A state was set."}, copy=int(copy))
+            self.observers.on_end("set_state", {"set_state": "A state was set."}, copy=int(copy))
         self._clock.reset()
         self._last_observation = self.stack.lift(self.stack.measure())
         return self._last_observation
 
     # --- When something goes wrong ------------------------------------------------------------------------------------
 
-    def _tell_ends(self, step: Step, faults: dict[str, Any]) -> None:
+    def _end_observers(self, step: Step, faults: dict[str, Any]) -> None:
         """Tell the observers of an episode that ended in a fault; of a batch, those of the copies that did."""
         if not self.leading:
-            self.audience.tell_end(str(step.info["end"]), faults)
+            self.observers.on_end(str(step.info["end"]), faults)
             return
-        for copy in np.flatnonzero(step.truncated & (self._ends == _FAULT)):
+        for copy in self._judge.collided(step):
             reasons = {name: str(own[copy]) for name, own in faults.items() if own[copy]}
-            self.audience.tell_end(FAULT, reasons, copy=int(copy))
+            self.observers.on_end(FAULT, reasons, copy=int(copy))
 
     def _hold_in_fault(self, faults: dict[str, str]) -> None:
         """Have all devices hold; one that refuses in its fault state is told in `faults`."""
@@ -389,14 +324,14 @@ class Engine:
     def _end_without_row(self, faults: dict[str, str]) -> Step:
         """End the episode in a step that not all devices took part in: observers are told its end, but see no step."""
         self.is_over = np.ones(self.leading, np.bool_)
-        self.audience.tell_end(FAULT, faults)
+        self.observers.on_end(FAULT, faults)
         try:
             observation = self.stack.lift(self.stack.measure())
         except DeviceFault:
             observation = copied(self._last_observation)
-        info = {"time": self._time(), "target": copied(self.stack.target), "end": FAULT, "faults": faults}
+        info = {"time": self._judge.time(), "target": copied(self.stack.target), "end": FAULT, "faults": faults}
         if self._clock.is_real:
-            info.update(self._timing())
+            info.update(self._judge.timing())
         return Step(
             observation=observation, reward=np.zeros(()), terminated=np.False_, truncated=np.True_, info=info
         )  # fmt: skip
@@ -408,7 +343,7 @@ class Engine:
         # A device that refuses an action is no reason to end the episode: the next one may be better.
         if not isinstance(error, InvalidAction) and self._is_started and not self._broken_off_by:
             if not self.is_over.all():
-                calls.append(lambda: self.audience.tell_end("exception", {type(error).__name__: str(error)}))
+                calls.append(lambda: self.observers.on_end("exception", {type(error).__name__: str(error)}))
             self._is_started = False
             self._broken_off_by = type(error).__name__
         try:
@@ -445,23 +380,12 @@ class Engine:
         if not self.is_open:
             return
         self.is_open = False
-        held = [self.stack.hold, self.turn.wait] if self.turn.is_of_another_thread else []
+        held = [self.stack.hold, self.calls.wait] if self.calls.is_of_another_thread else []
         try:
             if park is not None and self._is_started and not held and not self.stack.faults() and not sys.exc_info()[0]:
                 self._approach(park)
         finally:
-            for_all([*held, self.stack.close, *self.audience.closes(), *self._resources])
-
-
-def _with_rows(new: Mapping[str, Any], old: Mapping[str, Any], where: Any) -> dict[str, Any]:
-    """Return new values with some rows of the old ones, in any nesting."""
-    merged = copied(new)
-    for key, value in merged.items():
-        if isinstance(value, dict):
-            merged[key] = _with_rows(value, old[key], where)
-        else:
-            value[where] = old[key][where]
-    return merged
+            for_all([*held, self.stack.close, *self.observers.closes(), *self._resources])
 
 
 def _listed(faults: Mapping[str, str]) -> str:

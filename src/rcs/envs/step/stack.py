@@ -24,45 +24,49 @@ Nested = dict[str, dict[str, Any]]
 
 
 class Stack:
-    """Chains by name. Keys are one level down under the chain's name; those of the nameless chain stay at the top."""
+    """Chains by name, and the verbs of a step for all of them together.
+
+    Inside, all values are by chain. Users see the keys of a robot one level down under its name; those of the nameless
+    chain stay at the top.
+    """
 
     def __init__(self, chains: Chain | Mapping[str, Chain], gates: Sequence[Gate] = ()) -> None:
         """Put chains side by side.
 
         Args:
-            chains: The chain of the only robot, or those of several by name; "" is for what they share, such as
+            chains: The chain of the only robot, or those of several by name; "" is for their shared ports, such as
                 cameras.
-            gates: What every action must pass, in this order.
+            gates: Every action passes them, in this order.
 
         Raises:
             InvalidSetup: A robot has the name of a key that the robots share.
         """
         self.chains: dict[str, Chain] = {NAMELESS: chains} if isinstance(chains, Chain) else dict(chains)
         self.gates = list(gates)
-        self._names = [name for name in self.chains if name != NAMELESS]
-        self._shared = self.chains.get(NAMELESS) or Chain([])
-        if clash := sorted(set(self._names) & {*self._shared.action_spaces, *self._shared.observation_spaces}):
+        self._robots = [name for name in self.chains if name != NAMELESS]
+        shared = self.chains.get(NAMELESS) or Chain([])
+        self._shared_actions = shared.action_spaces
+        if clash := sorted(set(self._robots) & {*shared.action_spaces, *shared.observation_spaces}):
             raise InvalidSetup(f"A robot is named {clash[0]!r}, which is a key of all robots; give it another name.")
         self.action_space = _space({name: chain.action_spaces for name, chain in self.chains.items()})
         self.observation_space = _space({name: chain.observation_spaces for name, chain in self.chains.items()})
         self.executed_spaces = _space({name: chain.executed_spaces for name, chain in self.chains.items()}).spaces
-        """Space of what is sent to the ports."""
-        self._fallible = [(self._prefix(name), port) for name, one in self.chains.items() for port in one.fallible]
-        self._aged = [
-            (self._prefix(name), port)
-            for name, one in self.chains.items()
-            for port in one.ports
-            if type(port).ages is not Port.ages
-        ]
+        """Spaces of the targets that the ports take."""
+        self._ports = [(_prefix(name), port) for name, chain in self.chains.items() for port in chain.ports]
+        self._fallible = [(prefix, port) for prefix, port in self._ports if port.can_fail]
+        self._aged = [(prefix, port) for prefix, port in self._ports if type(port).ages is not Port.ages]
+        self._measured: Nested = {name: {} for name in self.chains}
+        self._executed: Nested = self._measured
+        self._target: Nested = self._measured
 
     @property
     def ports(self) -> list[Port]:
         """All ports, those of the robots first."""
-        return [port for chain in self.chains.values() for port in chain.ports]
+        return [port for _, port in self._ports]
 
     @property
     def about(self) -> dict[str, dict[str, Any]]:
-        """What recordings keep about sensors: `cameras`, how each is calibrated; `labels`, names in segmentation."""
+        """Facts about sensors for recordings: `cameras` (calibrations) and `labels` (names in segmentation)."""
         merged: dict[str, dict[str, Any]] = {}
         for port in self.ports:
             for key, values in port.about.items():
@@ -76,26 +80,18 @@ class Stack:
 
     @property
     def timed(self) -> list[str]:
-        """What `capture_times` has an entry for, such as `frames/wrist` and `joints`."""
-        return [
-            self._prefix(name) + key for name, one in self.chains.items() for port in one.ports for key in port.timed
-        ]
+        """Keys of `capture_times`, such as `frames/wrist` and `joints`."""
+        return [prefix + key for prefix, port in self._ports for key in port.timed]
 
     @property
     def executed(self) -> dict[str, Any]:
-        """The last action as it was sent to the ports, in the form of an action."""
-        return self.squeeze({name: chain.executed for name, chain in self.chains.items()})
+        """The last targets that the ports were sent, in the form of an action."""
+        return self._squeeze(self._executed)
 
     @property
     def target(self) -> dict[str, Any]:
-        """What the last action came to, on the highest level, in the form of an action."""
-        return self.squeeze({name: chain.target for name, chain in self.chains.items()})
-
-    def squeeze(self, nested: Nested) -> dict[str, Any]:
-        """Return values by chain in the form that users see."""
-        if not self._names:
-            return nested[NAMELESS]
-        return {**{name: nested[name] for name in self._names}, **nested.get(NAMELESS, {})}
+        """The targets of the last action on the highest level: absolute, and cut where a layer has cut them."""
+        return self._squeeze(self._target)
 
     def map(self, action: Any) -> Nested:
         """Check the action and map it down; no device sees it, and no layer remembers it.
@@ -103,10 +99,10 @@ class Stack:
         Raises:
             InvalidAction: The action, or that of one robot, is not valid.
         """
-        if not self._names:
-            return {NAMELESS: self._shared.map(action)}
-        robots = [name for name in self._names if self.chains[name].action_spaces]
-        if not isinstance(action, Mapping) or action.keys() != {*robots, *self._shared.action_spaces}:
+        if not self._robots:
+            return {NAMELESS: self.chains[NAMELESS].map(action)}
+        robots = [name for name in self._robots if self.chains[name].action_spaces]
+        if not isinstance(action, Mapping) or action.keys() != {*robots, *self._shared_actions}:
             given = sorted(map(str, action)) if isinstance(action, Mapping) else type(action).__name__
             raise InvalidAction(f"Expected one action per robot, {sorted(robots)}; got {given}.")
         mapped: Nested = {}
@@ -119,7 +115,7 @@ class Stack:
         return mapped
 
     def admit(self, mapped: Nested) -> Nested:
-        """Return what the gates let through.
+        """Return the targets that the gates let through.
 
         Raises:
             Refused: A gate refuses, or its deadline has passed.
@@ -127,7 +123,7 @@ class Stack:
         if not self.gates:
             return mapped
         targets: Mapping[str, Action] = mapped
-        measured = {name: chain.measure_devices() for name, chain in self.chains.items()}
+        measured = self.measure_devices()
         for gate in self.gates:
             start = time.perf_counter()
             answer = gate.admit(targets, measured)
@@ -142,7 +138,7 @@ class Stack:
     def _checked(
         self, gate: Gate, answer: Any, given: Mapping[str, Action], measured: Mapping[str, Observation]
     ) -> Nested:
-        """Return what a gate let through, once it is found to be as valid as what the gate was given.
+        """Return the answer of a gate, once it is found to be as valid as the targets that the gate was given.
 
         An arm that was found outside its range may be sent as far out as it is, or as it was sent before.
 
@@ -157,95 +153,114 @@ class Stack:
         for name, chain in self.chains.items():
             own = answer.get(name, {})
             try:
-                valid = chain.check_executed(own, measured[name], chain.executed)
+                valid = chain.check_executed(own, measured[name], self._executed[name])
             except InvalidAction as err:
                 raise Refused(f"{gate} returned what {name or 'the robot'} cannot be sent: {err}") from err
-            # What a gate leaves alone stays the same array, by which layers know it.
+            # A value that a gate leaves alone stays the same array, by which layers know it.
             checked[name] = {k: own[k] if own[k] is given[name].get(k) else value for k, value in valid.items()}
         return checked
 
     def send(self, mapped: Nested) -> None:
-        """Set the targets of all devices; nothing moves yet."""
-        for name, chain in self.chains.items():
-            chain.send(mapped[name])
-        for gate in self.gates:
-            gate.sent(mapped)
+        """Set the targets of all devices and pass them up through the layers; nothing moves yet."""
+        self.lead(mapped)
+        self._target = {name: chain.map_executed(mapped[name]) for name, chain in self.chains.items()}
 
     def lead(self, targets: Nested) -> None:
-        """Set the targets of all devices past the layers, which are to be reset after it; see `Chain.lead`."""
-        for name, chain in self.chains.items():
-            chain.lead(targets[name])
+        """Set the targets of all devices past the layers, which must be reset afterwards; an arm may have `joints`."""
+        self._command(targets)
+        self._executed = targets
         for gate in self.gates:
             gate.sent(targets)
 
     def repeat(self) -> None:
-        """Tell all devices once more what was sent last; the layers need not know."""
-        for chain in self.chains.values():
+        """Set the last targets of all devices once more; layers and gates need not know."""
+        self._command(self._executed)
+
+    def _command(self, targets: Nested) -> None:
+        for name, chain in self.chains.items():
             for port in chain.ports:
-                port.command(chain.executed)
+                port.command(targets[name])
 
     def stay(self) -> None:
-        """Hold all devices where they are measured, and take that for what the last action came to."""
-        for_all([chain.stay for chain in self.chains.values()])
+        """Hold all devices, and have the layers take the measured state for the targets of the last action."""
+        self.hold()
+        self._executed = self.at_rest()
+        self._target = {name: chain.map_executed(self._executed[name]) for name, chain in self.chains.items()}
+
+    def at_rest(self) -> Nested:
+        """Return the targets with which all devices stay where they are measured now."""
+        measured = self.measure_devices()
+        return {name: chain.at_rest(measured[name]) for name, chain in self.chains.items()}
 
     def measure(self) -> Nested:
         """Return the observations of the lowest level."""
-        return {name: chain.measure() for name, chain in self.chains.items()}
+        self._measured = {name: chain.measure() for name, chain in self.chains.items()}
+        return self._measured
+
+    def measure_devices(self) -> Nested:
+        """Return the last observations with everything that takes commands measured anew."""
+        measured = {name: dict(own) for name, own in self._measured.items()}
+        for name, chain in self.chains.items():
+            for port in chain.ports:
+                if port.action_spaces:  # a port that only observes, such as a camera, need not be read for this
+                    measured[name].update(port.observe())
+        return measured
 
     def lift(self, measured: Nested) -> Observation:
         """Map the observations of the lowest level up through all layers, into the form that users see."""
-        return self.squeeze({name: chain.lift(measured[name]) for name, chain in self.chains.items()})
+        return self._squeeze({name: chain.lift(measured[name]) for name, chain in self.chains.items()})
 
     def reset(self, measured: Nested, where: Where) -> None:
-        """Tell all layers that some copies start anew, with the lowest level's observations."""
+        """Start episodes of some copies in all layers and gates, with the lowest level's observations."""
         for name, chain in self.chains.items():
             chain.reset(measured[name], where)
         for gate in self.gates:
             gate.reset(measured, where)
 
     def rebase(self, robot: str | None = None) -> None:
-        """Make the layers of one robot, or of all, count from the measured state.
+        """Make the devices and layers of one robot, or of all, continue from the measured state.
 
         Raises:
             UnknownName: There is no robot of this name.
         """
-        if robot is not None and robot not in self._names:
-            hint = "" if self._names else "This environment has one robot; call rebase()."
-            raise UnknownName("robot", robot, self._names, hint=hint)
-        for name, chain in self.chains.items():
-            if robot in (None, name):
-                chain.rebase()
-        if self.gates:
-            measured = {name: chain.measure_devices() for name, chain in self.chains.items()}
-            for gate in self.gates:
-                gate.rebase(measured)
+        if robot is not None and robot not in self._robots:
+            hint = "" if self._robots else "This environment has one robot; call rebase()."
+            raise UnknownName("robot", robot, self._robots, hint=hint)
+        own = [name for name in self.chains if robot in (None, name)]
+        for name in own:
+            for port in self.chains[name].ports:
+                port.rebase()
+        measured = self.measure_devices()
+        for name in own:
+            self.chains[name].rebase(measured[name])
+        for gate in self.gates:
+            gate.rebase(measured)
 
     def faults(self) -> dict[str, str]:
         """Return the reason of every device that is in its fault state, by the device's name or `robot/device`."""
         return {prefix + key: why for prefix, port in self._fallible for key, why in port.faults().items()}
 
     def ages(self) -> dict[str, Any]:
-        """Return how old what is observed is in simulated time [s], by key, where it is late on purpose."""
+        """Return the age of deliberately late observations in simulated time [s], by key."""
         return {prefix + key: age for prefix, port in self._aged for key, age in port.ages().items()}
 
     def info(self) -> dict[str, Any]:
-        """Return what layers and gates tell of the last action; of several robots' layers, `robot/key`."""
-        told = {self._prefix(name) + key: v for name, one in self.chains.items() for key, v in one.info().items()}
+        """Return the info of layers and gates about the last action; of several robots' layers, `robot/key`."""
+        info: dict[str, Any] = {}
+        for name, chain in self.chains.items():
+            for layer in chain.layers:
+                if own := layer.info():
+                    info.update({f"{name}/{key}": value for key, value in own.items()} if name else own)
         for gate in self.gates:
-            told.update(gate.info())
-        return told
+            info.update(gate.info())
+        return info
 
     def capture_times(self) -> dict[str, float]:
         """Return when each sensor was last read [s, monotonic clock], by its key such as `frames/wrist`."""
-        return {
-            self._prefix(name) + key: when
-            for name, chain in self.chains.items()
-            for port in chain.ports
-            for key, when in port.capture_times().items()
-        }
+        return {prefix + key: when for prefix, port in self._ports for key, when in port.capture_times().items()}
 
     def clamped(self) -> dict[str, Mapping[str, int]]:
-        """Return how many commands asked streamed arms for more than is allowed since `open`, by arm and by what."""
+        """Return how many commands since `open` streamed arms carried out only in part, by arm and by quantity."""
         arms = [port.device for port in self.ports]
         return {arm.name: arm.clamped() for arm in arms if is_streamed(arm)}
 
@@ -273,8 +288,11 @@ class Stack:
         """Close all ports, also when one of them fails to."""
         for_all([port.close for port in self.ports])
 
-    def _prefix(self, name: str) -> str:
-        return f"{name}/" if name else ""
+    def _squeeze(self, nested: Nested) -> dict[str, Any]:
+        """Return values by chain in the form that users see."""
+        if not self._robots:
+            return nested[NAMELESS]
+        return {**{name: nested[name] for name in self._robots}, **nested.get(NAMELESS, {})}
 
     def __str__(self) -> str:
         """Return the gates, then chain after chain from top to bottom."""
@@ -283,6 +301,10 @@ class Stack:
             lines += [f"  {name}:"] if name else []
             lines += [str(chain)] if chain.ports else []
         return "\n".join(lines)
+
+
+def _prefix(name: str) -> str:
+    return f"{name}/" if name else ""
 
 
 def _space(boxes: Mapping[str, Mapping[str, spaces.Space[Any]]]) -> spaces.Dict:

@@ -15,7 +15,7 @@ from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import FRAMES, RGB, Action, Observation
-from rcs.envs.step.engine import DIVERGED, FAULT
+from rcs.envs.step.judge import DIVERGED, FAULT
 from rcs.errors import DeviceFault, RcsError
 from rcs.rollout.interactive.guide import Guide
 from rcs.setups.make import make, resolve

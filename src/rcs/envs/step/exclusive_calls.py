@@ -7,12 +7,12 @@ import threading
 from rcs.errors import WrongOrder
 
 
-class Turn:
-    """A turn to use an environment: `take` begins it, and leaving the context ends it.
+class ExclusiveCalls:
+    """Calls of an environment: `enter` begins one, and leaving the context ends it.
 
     Example:
-        >>> turn = Turn()
-        >>> with turn.take("step"):
+        >>> calls = ExclusiveCalls()
+        >>> with calls.enter("step"):
         ...     pass
     """
 
@@ -22,7 +22,7 @@ class Turn:
         self._lock = threading.RLock()
         self._is_taken = False
 
-    def take(self, call: str) -> Turn:
+    def enter(self, call: str) -> ExclusiveCalls:
         """Begin a call, or refuse it.
 
         Args:
@@ -53,7 +53,7 @@ class Turn:
             pass
 
     def __enter__(self) -> None:
-        """Continue the call that `take` began."""
+        """Continue the call that `enter` began."""
 
     def __exit__(self, *_: object) -> None:
         """End the call."""

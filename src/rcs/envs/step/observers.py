@@ -1,9 +1,8 @@
-"""The observers of an environment and what they are shown: transitions of one copy each."""
+"""Shows transitions to the observers of an environment, each of one copy."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,29 +11,16 @@ from numpy.typing import NDArray
 from rcs.envs.observer import Observer, Transition
 from rcs.envs.spaces import Observation
 from rcs.envs.step.clock import Clock
+from rcs.envs.step.judge import Step, row
 from rcs.envs.step.scenario import Scenario
 from rcs.envs.step.stack import Stack, for_all
 
 
-@dataclass(kw_only=True, slots=True)
-class Step:
-    """What a step led to. Arrays have the leading shape, () or (copies,)."""
-
-    observation: Observation
-    reward: Any
-    """(*leading,) float64."""
-    terminated: Any
-    """(*leading,) bool."""
-    truncated: Any
-    """(*leading,) bool."""
-    info: dict[str, Any]
-
-
-class Audience:
-    """Observers, each of one copy. Nothing is put together for them while there are none."""
+class Observers:
+    """Observers, each of one copy. Transitions are put together only while there are observers."""
 
     def __init__(self, stack: Stack, clock: Clock, scenario: Scenario | None) -> None:
-        """Show what these parts do to nobody yet."""
+        """Start without observers."""
         self._stack = stack
         self._clock = clock
         self._scenario = scenario
@@ -42,53 +28,53 @@ class Audience:
         self._observers: list[tuple[int, Observer]] = []
         self._notes: dict[str, Any] = {}
         self.command_time: float | None = None
-        """When the targets of the present step were sent [s]."""
+        """Time at which the targets of the present step were sent [s]."""
         self.after_hold = False
-        """Whether the devices were made to hold since the last step."""
+        """Whether the devices have been made to hold since the last step."""
 
     def add(self, observer: Observer, copy: int = 0) -> None:
-        """Have an observer see every step of a copy from its next episode on."""
+        """Show an observer every step of a copy from its next episode on."""
         self._observers.append((copy, observer))
 
     def remove(self, observer: Observer) -> None:
-        """Have an observer see no more steps."""
+        """Show an observer no more steps."""
         self._observers = [(copy, one) for copy, one in self._observers if one is not observer]
 
     def note(self, notes: Mapping[str, Any]) -> None:
-        """Give observers something to see with the next step."""
+        """Add notes to the next step for observers."""
         self._notes.update(notes)
 
-    def tell_starts(self, observation: Observation, info: dict[str, Any], seeds: Mapping[int, int | None]) -> None:
+    def on_reset(self, observation: Observation, info: dict[str, Any], seeds: Mapping[int, int | None]) -> None:
         """Show the first observation of episodes.
 
         Args:
-            observation: Of all copies.
-            info: Of all copies.
-            seeds: Of the copies that start.
+            observation: The observation of all copies.
+            info: The info of all copies.
+            seeds: The seeds of the copies that start.
         """
         for copy, observer in self._observers:
             if copy in seeds:
                 observer.on_reset(self._transition(copy, observation, info), seeds[copy])
 
-    def tell_step(self, step: Step, action: Any, starting: NDArray[np.bool_] | None) -> None:
-        """Show a step of all copies but those that start their next episode instead."""
+    def on_step(self, step: Step, action: Any, starting: NDArray[np.bool_] | None) -> None:
+        """Show a step of all copies except those that start their next episode instead."""
         for copy, observer in self._observers:
             if starting is None or not starting[copy]:
                 observer.on_step(self._transition(copy, step.observation, step.info, step, action))
         self._notes = {}
 
-    def tell_end(self, end: str, reasons: Mapping[str, str], *, copy: int | None = None) -> None:
-        """Tell that the episodes were broken off, or that of one copy."""
-        told = [observer for own, observer in self._observers if copy in (None, own)]
-        for_all([lambda observer=observer: observer.on_end(end, reasons) for observer in told])
+    def on_end(self, end: str, reasons: Mapping[str, str], *, copy: int | None = None) -> None:
+        """End the episodes that observers see, or that of one copy, because they were broken off."""
+        ended = [observer for own, observer in self._observers if copy in (None, own)]
+        for_all([lambda observer=observer: observer.on_end(end, reasons) for observer in ended])
 
     def info(self) -> dict[str, Any]:
-        """Return what the observers of a single environment have to say."""
-        told: dict[str, Any] = {}
+        """Return the info that observers of a single environment add."""
+        info: dict[str, Any] = {}
         for _, observer in self._observers:
             if type(observer).info is not Observer.info:
-                told.update(observer.info())
-        return told
+                info.update(observer.info())
+        return info
 
     def closes(self) -> list[Callable[[], None]]:
         """Return the calls that close the observers."""
@@ -127,20 +113,3 @@ def _ends(step: Step, copy: int, is_batch: bool) -> tuple[float, bool, bool]:
     values = step.reward, step.terminated, step.truncated
     reward, terminated, truncated = (np.asarray(one)[copy] if is_batch else one for one in values)
     return float(reward), bool(terminated), bool(truncated)
-
-
-_ARRAYS = np.ndarray, np.generic
-
-
-def row(told: Mapping[str, Any], where: Any) -> dict[str, Any]:
-    """Return the values of one copy: numbers and booleans as Python's own, arrays as views of theirs."""
-    own_values: dict[str, Any] = {}
-    for key, value in told.items():
-        if isinstance(value, _ARRAYS):
-            own: Any = value if where is ... else value[where]  # pyright: ignore[reportIndexIssue]  batches have arrays
-            own_values[key] = own if getattr(own, "ndim", 1) else own.item()
-        elif isinstance(value, dict):  # not `Mapping`: an abstract class takes ten times as long to ask for
-            own_values[key] = row(value, where)
-        else:
-            own_values[key] = value
-    return own_values
