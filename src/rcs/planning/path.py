@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rcs_data.diversity import at_shares, diversity_of_ways
 
 from rcs.errors import InvalidSetup
 
@@ -40,6 +39,8 @@ class Path:
 
     def at(self, shares: ArrayLike) -> NDArray[np.float64]:
         """Return the joints [rad] at shares of the length, 0 … 1, (..., dof)."""
+        from rcs_data.diversity import at_shares  # on use: it imports pyarrow
+
         return at_shares(self.waypoints, shares)
 
 
@@ -57,4 +58,6 @@ def diversity(paths: Sequence[Path | NDArray[np.float64]]) -> float:
     """
     if len(paths) < 2:
         raise InvalidSetup(f"{len(paths)} path was given; to compare takes at least 2.")
+    from rcs_data.diversity import diversity_of_ways  # on use: it imports pyarrow
+
     return diversity_of_ways([(path if isinstance(path, Path) else Path(path)).waypoints for path in paths])
