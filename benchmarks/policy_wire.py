@@ -30,8 +30,7 @@ from typing import Any
 
 import numpy as np
 import tyro
-from vlagents import Chunk, Metadata, Observation, PartSpec, Policy
-from vlagents.connect import connect
+from vlagents import Chunk, Metadata, Observation, PartSpec, Policy, connect
 
 ROOT = Path(__file__).parents[1]
 SIZES = {"left": (224, 224), "right": (224, 224), "front": (720, 1280), "side": (720, 1280)}
@@ -68,7 +67,7 @@ class Pixels(Policy):
 
 def serve_ours(kind: str, told: Any) -> None:
     """Serve over our TCP and shared memory, or over our websocket."""
-    from vlagents.server import Server
+    from vlagents import Server
     from vlagents.websocket import WebsocketServer
 
     with (WebsocketServer if kind == "ws" else Server)(Pixels(), port=0) as server:

@@ -9,9 +9,8 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from vlagents import Metadata, Observation, PartSpec
+from vlagents import Metadata, Observation, PartSpec, Server
 from vlagents.policies.scripted import ScriptedPolicy
-from vlagents.server import Server
 
 import rcs
 from rcs.policy import Execution, ServedPolicy, fitted

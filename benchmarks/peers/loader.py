@@ -25,7 +25,7 @@ import tyro
 from rcs_data import Dataset
 from rcs_data.convert.lerobot import export_lerobot
 from rcs_data.convert.options import ExportOptions
-from vlagents.policies import recipes
+from vlagents.policies import catalogue
 
 import rcs
 from rcs.rollout.collect import Collection, Progress, collect
@@ -56,7 +56,7 @@ def main(options: Options) -> None:
     if not options.python.exists():
         print(f"making {PLACE}", file=sys.stderr)
         made = {**os.environ, "VLAGENTS": str(PACKAGE)}
-        subprocess.run(["sh", "-s", "--", PLACE], input=recipes.read("lerobot"), env=made, check=True, text=True)
+        subprocess.run(["sh", "-s", "--", PLACE], input=catalogue.recipe("lerobot"), env=made, check=True, text=True)
     with tempfile.TemporaryDirectory() as folder:
         loaders = prepared(Path(folder), options)
         rates: dict[tuple[str, int], list[float]] = defaultdict(list)

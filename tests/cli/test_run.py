@@ -12,9 +12,8 @@ from typing import Any
 
 import pytest
 from rcs_data import Dataset
-from vlagents import Observation
+from vlagents import Observation, Server
 from vlagents.policies.scripted import ScriptedPolicy
-from vlagents.server import Server
 
 from rcs.cli.main import main
 from rcs.rollout import UNSEEN
@@ -47,7 +46,7 @@ def rcs(*arguments: str) -> int:
 def test_where_no_policy_is_the_error_has_one_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert rcs("run", "--policy", "vla://127.0.0.1:1", "--episodes", "1") == 1
     told = capsys.readouterr().err
-    assert "error: ConnectionLost: Nobody is at" in told
+    assert "error: ConnectionLost: No server is at" in told
     assert "RcsError" not in told
 
 
@@ -95,7 +94,7 @@ def test_a_policy_that_is_gone_ends_the_run_with_figures_of_the_episodes_before(
     with Server(ScriptedPolicy(chunk, example.METADATA), port=0) as server:
         assert rcs("run", "--policy", str(server.address), *options) == 1
     said = capsys.readouterr()
-    assert "Nobody is at" in said.err
+    assert "No server is at" in said.err
     assert "not begun" in said.err
     (result,) = json.loads((out / "evaluation.json").read_text())["results"]
     assert result["failure"] == "policy"

@@ -23,7 +23,7 @@ import os, sys
 import numpy as np
 from vlagents import Metadata, PartSpec
 from vlagents.policies.scripted import ScriptedPolicy
-from vlagents.server import Server
+from vlagents import Server
 joints, gripper = PartSpec("joints", 7, "rad"), PartSpec("gripper", 1, "0 closed, 1 open")
 told = Metadata(name="swing", state=(joints,), action=(joints, gripper), rate=30.0, horizon=8)
 calls = iter(range(int(sys.argv[1])))

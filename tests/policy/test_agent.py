@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetWriter
-from vlagents import Chunk, ConnectionLost, Metadata, Observation, PartSpec, Policy, PolicyFailed, Unauthorized
+from vlagents import Chunk, ConnectionLost, Metadata, Observation, PartSpec, Policy, PolicyFailed, Server, Unauthorized
 from vlagents.policies.scripted import ScriptedPolicy
-from vlagents.server import Server
 
 import rcs
 from rcs.envs import Env

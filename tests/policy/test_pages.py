@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vlagents import Chunk, Metadata, Observation, PartSpec, Policy
-from vlagents.connect import connect
+from vlagents import Chunk, Metadata, Observation, PartSpec, Policy, Server, connect
 from vlagents.other_wires.openvla import OpenvlaServer
-from vlagents.server import Server
 from vlagents.websocket import WebsocketServer
 
 pytestmark = pytest.mark.browser

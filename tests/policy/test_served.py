@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vlagents import ConnectionLost, Metadata, Observation, PartSpec
+from vlagents import ConnectionLost, Metadata, Observation, PartSpec, Server
 from vlagents.policies.scripted import ScriptedPolicy
-from vlagents.server import Server
 from vlagents.wire.openpi import pack, unpack
 
 import rcs
@@ -63,7 +62,7 @@ import sys, time
 import numpy as np
 from vlagents import Metadata, PartSpec
 from vlagents.policies.scripted import ScriptedPolicy
-from vlagents.server import Server
+from vlagents import Server
 from vlagents.wire.openpi import pack, unpack
 
 joints, gripper = PartSpec("joints", 7, "rad"), PartSpec("gripper", 1, "0 closed, 1 open")
@@ -118,7 +117,7 @@ def test_a_server_that_is_killed_means_hold_and_what_the_options_say(
 
 
 def test_where_nobody_is_the_error_says_so(env: Env) -> None:
-    with pytest.raises(RcsError, match="ConnectionLost: Nobody is at"):
+    with pytest.raises(RcsError, match="ConnectionLost: No server is at"):
         agent_for(env, "vla://127.0.0.1:1")
 
 

@@ -5,9 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from hypothesis import settings
-from vlagents import Observation
+from vlagents import Observation, Server
 from vlagents.policies.random import RandomPolicy
-from vlagents.server import Server
 
 settings.register_profile("vlagents", deadline=None)  # a machine may have other work
 settings.load_profile("vlagents")
@@ -27,6 +26,5 @@ def observation() -> Observation:
         state={"joints": np.arange(7.0), "gripper": np.ones(1, np.float32)},
         instruction="pick up the green cuboid",
         time=12.5,
-        times={"side": 12.4},
         session="left",
     )

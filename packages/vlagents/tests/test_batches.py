@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vlagents import Chunk, InvalidInput, Metadata, Observation, PartSpec, Policy, PolicyFailed
-from vlagents.client import Client
-from vlagents.server import Server
+from vlagents import Chunk, Client, InvalidInput, Metadata, Observation, PartSpec, Policy, PolicyFailed, Server
 
 
 class Batched(Policy):

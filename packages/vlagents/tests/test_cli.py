@@ -11,15 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vlagents import InvalidInput, Observation, VlagentsError
+from vlagents import InvalidInput, Observation, Server, VlagentsError, connect
 from vlagents.cli.main import main
-from vlagents.connect import connect
 from vlagents.policies import catalogue
-from vlagents.server import Server
 
 
 def test_a_policy_is_served_until_a_signal_and_answers_ping_and_bench(capsys: pytest.CaptureFixture[str]) -> None:
-    command = [sys.executable, "-m", "vlagents.cli", "serve", "random", "--checkpoint", "8", "--port", "0"]
+    command = [sys.executable, "-m", "vlagents.cli", "serve", "random", "--size", "8", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as serving:
         assert serving.stdout is not None
         address = serving.stdout.readline().split(" at ")[1].split(". ")[0]
@@ -91,7 +89,7 @@ def test_a_class_of_ones_own_is_served_with_its_options(tmp_path: Path) -> None:
         (("missing:Mine",), "valid is module:Class"),
         (("json:loads", "--checkpoint", "5"), "valid is a vlagents.Policy"),
         (("json:loads",), "cannot be made"),
-        (("random", "--size", "3"), "has no option --size"),
+        (("random", "--sise", "3"), "has no option --sise"),
     ],
 )
 def test_a_class_or_an_option_that_is_none_is_named(
@@ -148,7 +146,7 @@ def test_what_is_wrong_is_said_in_one_line(capsys: pytest.CaptureFixture[str]) -
     assert main(["serve", "randum"]) == 1
     assert "Did you mean 'random'?" in capsys.readouterr().err
     assert main(["ping", "vla://127.0.0.1:1", "--timeout", "1"]) == 1
-    assert "Nobody is at" in capsys.readouterr().err
+    assert "No server is at" in capsys.readouterr().err
     assert main(["serve", "random", "--host", "0.0.0.0"]) == 1
     assert "there is no token" in capsys.readouterr().err
 
@@ -182,5 +180,5 @@ def test_a_hash_tells_checkpoints_apart(tmp_path: Path) -> None:
         (tmp_path / name / "weights").write_text(text)
     a, b, c = (catalogue.hash_of(tmp_path / name) for name in "abc")
     assert a == b != c
-    with pytest.raises(InvalidInput, match="number of values"):
+    with pytest.raises(InvalidInput, match="cannot be made"):
         catalogue.load("random", "runs/a")

@@ -14,6 +14,7 @@ from vlagents import (
     AddressTaken,
     BadMessage,
     Chunk,
+    Client,
     ConnectionLost,
     DeadlineExceeded,
     InvalidInput,
@@ -25,11 +26,10 @@ from vlagents import (
     PartSpec,
     Policy,
     PolicyFailed,
+    Server,
     Unauthorized,
 )
-from vlagents.client import Client
 from vlagents.policies.random import RandomPolicy
-from vlagents.server import Server
 from vlagents.websocket import WebsocketClient, WebsocketServer
 
 ACTION = (PartSpec("joints", 2),)
@@ -297,7 +297,7 @@ def test_a_client_needs_an_address_and_somebody_there() -> None:
     for wrong in ("", "localhost:80", "http://localhost:80", "vla://", "vla://h:99999", "vla://h/path"):
         with pytest.raises(InvalidInput, match=r"valid are vla://|port"):
             Client(wrong)
-    with pytest.raises(ConnectionLost, match="Nobody is at"):
+    with pytest.raises(ConnectionLost, match="No server is at"):
         Client("vla://127.0.0.1:1")
 
 

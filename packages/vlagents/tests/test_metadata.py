@@ -55,7 +55,7 @@ def test_each_difference_is_named(offer: Offer, said: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"name": ""}, "name of a policy"),
+        ({"name": ""}, "name of Metadata"),
         ({"horizon": 0}, "horizon"),
         ({"rate": float("nan")}, "rate"),
         ({"state": (PartSpec("a", 1), PartSpec("a", 2))}, "twice"),

@@ -10,10 +10,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from vlagents import ConnectionLost, DeadlineExceeded, Observation
-from vlagents.client import Client
+from vlagents import Client, ConnectionLost, DeadlineExceeded, Observation, Server
 from vlagents.policies.random import RandomPolicy
-from vlagents.server import Server
 from vlagents.websocket import WebsocketClient, WebsocketServer
 from vlagents.wire import link
 
@@ -58,7 +56,7 @@ def ask(server: Any, **options: Any) -> Any:
 
 def test_a_server_behind_a_pulled_cable_is_late_in_time_and_others_are_answered(server: Any) -> None:
     with ask(server, timeout=10.0) as client:
-        (channel,) = server._acceptor.open
+        (channel,) = server.channels
         pull_cable(channel._link._socket)
         client.timeout = 0.5
         for _ in range(2):

@@ -10,14 +10,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import msgpack
 import numpy as np
 import pytest
-from vlagents import Chunk, Metadata, Observation, PartSpec, Policy
-from vlagents.connect import connect
+from msgspec import msgpack
+from vlagents import Chunk, Metadata, Observation, PartSpec, Policy, Server, connect
 from vlagents.other_wires.groot import GrootServer
 from vlagents.other_wires.openvla import OpenvlaServer
-from vlagents.server import Server
 from vlagents.websocket import WebsocketServer
 
 SERVERS: dict[str, Any] = {"vla": Server, "ws": WebsocketServer, "gr00t": GrootServer, "openvla": OpenvlaServer}
@@ -118,7 +116,7 @@ def test_what_a_page_fetches_from_gr00ts_port_is_no_request() -> None:
     policy = Counting()
     with GrootServer(policy, port=0) as server:
         with socket.create_connection((server.address.host, server.address.port), timeout=10.0) as page:
-            page.sendall(as_old_zeromq(msgpack.packb({"endpoint": "reset", "data": {}})))
+            page.sendall(as_old_zeromq(msgpack.encode({"endpoint": "reset", "data": {}})))
             page.settimeout(1.0)
             try:
                 while page.recv(1 << 16):

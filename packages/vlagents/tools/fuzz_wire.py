@@ -28,13 +28,13 @@ from random import Random
 from typing import Any
 
 import numpy as np
-from vlagents import Observation
-from vlagents.address import parse, socket_beside
-from vlagents.connect import connect
+from vlagents import Observation, connect
+from vlagents.address import parse
 from vlagents.other_wires import groot
 from vlagents.policies.random import RandomPolicy
 from vlagents.wire import openpi
 from vlagents.wire.calls import observation_to_values
+from vlagents.wire.local_socket import socket_beside
 from vlagents.wire.message import pack
 from vlagents.wire.shared import HEAD, MAGIC, PLACE, SEALS, SLOTS
 from vlagents.wire.stream import PREFIX
@@ -44,7 +44,7 @@ SERVE = """
 import logging, sys, threading
 from vlagents.other_wires.groot import GrootServer
 from vlagents.policies.random import RandomPolicy
-from vlagents.server import Server
+from vlagents import Server
 from vlagents.websocket import WebsocketServer
 logging.disable(logging.CRITICAL)
 kind = {"websocket": WebsocketServer, "gr00t": GrootServer}.get(sys.argv[1], Server)

@@ -57,7 +57,7 @@ class ServedPolicy:
             raise InvalidSetup(f"{self.address} tells its metadata by itself; described_in is for ws:// and wss://.")
         try:
             options = {} if self.described_in is None else {"metadata": _described(Path(self.described_in), v)}
-            return vlagents("vlagents.connect").connect(
+            return v.connect(
                 self.address,
                 token=os.environ.get(TOKEN),
                 timeout=self.timeout,

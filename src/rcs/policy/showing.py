@@ -47,14 +47,11 @@ def shown(
     else:
         cameras = [name for name in frames if RGB in frames[name]]
         state = {name: np.asarray(own, np.float64) for name, own in values.items() if PRIVILEGED not in name.split("/")}
-    ages = info.get("ages", {})
-    keys = {**{name: f"{FRAMES}/{name}" for name in cameras}, **{name: name for name in state}}
     seen: v.Observation = vlagents().Observation(
         images={name: frames[name][RGB] for name in cameras},
         state=state,
         instruction=instruction,
         time=time,
-        times={name: time - float(ages[key]) for name, key in keys.items() if key in ages},
         session=session,
     )
     return seen

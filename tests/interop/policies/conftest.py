@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from vlagents.policies import recipes
+from vlagents.policies import catalogue
 
 PROJECT = Path(__file__).parents[3]
 PACKAGE = PROJECT / "packages" / "vlagents"
@@ -77,7 +77,7 @@ def environment() -> Callable[..., Environment]:
             if not Path(os.environ.get(name, "/nowhere")).is_dir():
                 pytest.skip(f"{name} names no folder; `vlagents recipe {family}` says which checkout belongs there")
         folder = ENVIRONMENTS / f"vlagents-{family}"
-        script = recipes.read(family)
+        script = catalogue.recipe(family)
         stamp, wanted = folder / "recipe.sha256", hashlib.sha256(script.encode()).hexdigest()
         if not stamp.is_file() or stamp.read_text() != wanted:
             shutil.rmtree(folder, ignore_errors=True)

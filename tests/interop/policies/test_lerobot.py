@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rcs_data import DatasetInfo, DatasetWriter, Feature
-from vlagents import InvalidInput, Observation
-from vlagents.connect import connect
+from vlagents import InvalidInput, Observation, connect
 
 from rcs.cli.train import TrainCommand
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vlagents import Observation
-from vlagents.connect import connect
+from vlagents import Observation, connect
 
 pytestmark = pytest.mark.interop
 

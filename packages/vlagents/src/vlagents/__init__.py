@@ -1,5 +1,8 @@
 """Serves robot policies from their own Python environment. Nothing here knows a robot or a learning framework."""
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from vlagents.chunk import Chunk
 from vlagents.errors import (
     AddressTaken,
@@ -18,12 +21,18 @@ from vlagents.metadata import ImageSpec, Metadata, Offer, PartSpec, differences
 from vlagents.observation import Observation
 from vlagents.policy import Policy
 
+if TYPE_CHECKING:
+    from vlagents.client import Client
+    from vlagents.connection import connect
+    from vlagents.server import Server
+
 __version__ = "0.1.0"
 
 __all__ = [
     "AddressTaken",
     "BadMessage",
     "Chunk",
+    "Client",
     "ConnectionLost",
     "DeadlineExceeded",
     "ImageSpec",
@@ -37,7 +46,18 @@ __all__ = [
     "PartSpec",
     "Policy",
     "PolicyFailed",
+    "Server",
     "Unauthorized",
     "VlagentsError",
+    "connect",
     "differences",
 ]
+
+_LAZY = {"Client": "client", "Server": "server", "connect": "connection"}
+"""Modules of names that are imported when they are first used."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_LAZY[name]}"), name)

@@ -1,17 +1,16 @@
-"""A policy somewhere else: the same interface, over a wire."""
+"""A policy in another process or on another machine: the same interface, over a wire."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import socket
-import ssl
 import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from vlagents.address import Address, is_loopback, is_own_socket, parse, socket_beside
+from vlagents.address import Address, is_loopback, parse
 from vlagents.chunk import Chunk
 from vlagents.errors import (
     BadMessage,
@@ -25,18 +24,20 @@ from vlagents.errors import (
 from vlagents.metadata import Metadata, Offer
 from vlagents.observation import Observation
 from vlagents.policy import Policy
+from vlagents.record import positive
 from vlagents.wire.calls import VERSION, chunk_from_values, observation_to_values
-from vlagents.wire.deadline import Deadline
+from vlagents.wire.link import Deadline, dial
+from vlagents.wire.local_socket import is_own_socket, socket_beside
 from vlagents.wire.shared import SLOTS, SharedChannel, is_supported, peer_user
 from vlagents.wire.stream import LARGEST_BODY, StreamChannel
 
 
 class Client(Policy):
-    """Asks the policy of a `Server`.
+    """Calls the policy of a `Server`.
 
-    On the server's machine, arrays go through shared memory; the client finds out by itself. An answer that is late
-    raises `DeadlineExceeded`, and is thrown away when it comes; the session goes on. After `ConnectionLost` the next
-    `reset` connects anew, nothing else does: whatever drives a robot must know that its policy was gone.
+    On the server's machine, arrays go through shared memory; the client finds out by itself. A late answer raises
+    `DeadlineExceeded` and is discarded when it arrives; the session continues. After `ConnectionLost` only `reset`
+    connects again: the program that drives a robot must know that its policy was gone.
     """
 
     def __init__(
@@ -53,25 +54,23 @@ class Client(Policy):
 
         Args:
             address: `vla://host:port`, `vlas://host:port` or `unix:///path`.
-            token: What the server wants to hear.
+            token: The server's secret.
             timeout: How long an answer may take [s].
             offer: What the robot shows and takes; None to compare nothing.
             certificate: File with the certificate that the server's must be signed by; None for those of the system.
             is_shared: Whether arrays go through shared memory; None where it can be.
 
         Raises:
-            InvalidInput: The address is none.
-            ConnectionLost: Nobody is there.
-            DeadlineExceeded: Somebody is, and says nothing.
+            InvalidInput: The address is not valid.
+            ConnectionLost: No server is there.
+            DeadlineExceeded: It does not answer.
             Unauthorized: The token is wrong.
             Mismatch: Robot and policy do not fit.
         """
-        if not (isinstance(timeout, (int, float)) and 0 < timeout < float("inf")):
-            raise InvalidInput(f"timeout is {timeout!r}; valid is a number of seconds above 0.")
         self.address: Address = parse(address)
         if self.address.scheme not in ("vla", "vlas", "unix"):
-            raise InvalidInput(f"{address!r} speaks something else; vlagents.connect.connect finds the class for it.")
-        self.timeout = float(timeout)
+            raise InvalidInput(f"{address!r} is of another wire; vlagents.connect returns a client for it.")
+        self.timeout = positive("timeout", timeout)
         """How long an answer may take [s]."""
         self._token, self._offer = token, offer
         self._certificate, self._is_shared = certificate, is_shared
@@ -87,7 +86,7 @@ class Client(Policy):
         return isinstance(self._channel, SharedChannel)
 
     def metadata(self) -> Metadata:
-        """Return what the policy told when the connection was made."""
+        """Return the metadata as of the connection."""
         return self._metadata
 
     def infer(self, observation: Observation) -> Chunk:
@@ -104,18 +103,18 @@ class Client(Policy):
             return chunk_from_values(self._ask("infer", observation=values).get("chunk"))
 
     def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Begin an episode; connect anew if the server was gone."""
+        """Begin an episode; connect again if the server was gone."""
         with self._lock:
             if self._channel is None:
                 self._metadata = self._connect()
         self._ask("reset", session=session, instruction=instruction, seed=seed)
 
     def forget(self, session: str) -> None:
-        """Let the server forget a session."""
+        """Have the server forget a session."""
         self._ask("forget", session=session)
 
     def ping(self) -> dict[str, Any]:
-        """Return the server's health: its policy, its version, how long it runs, how much it answered."""
+        """Return the server's health: its policy, its version, its running time, its number of answers."""
         health = self._ask("ping").get("health")
         if not isinstance(health, dict):
             raise BadMessage("The answer to ping has no health.")
@@ -131,7 +130,7 @@ class Client(Policy):
         with self._lock:
             channel = self._channel
             if channel is None:
-                raise ConnectionLost(f"There is no connection to {self.address}; `reset` connects anew.")
+                raise ConnectionLost(f"There is no connection to {self.address}; `reset` connects again.")
             return self._ask_over(channel, call, given)
 
     def _ask_over(self, channel: StreamChannel, call: str, given: dict[str, Any]) -> dict[str, Any]:
@@ -172,12 +171,12 @@ class Client(Policy):
             self._lose(channel)
             raise ConnectionLost(f"The connection broke: {error}.") from error
         try:
-            # Once it begins to come it must come to its end, or the connection is out of step.
+            # An answer that begins must arrive as a whole, or the connection is out of step.
             answer = channel.receive(Deadline(self.timeout, "The rest of an answer"))
         except VlagentsError:
             self._lose(channel)
             raise
-        if not isinstance(answer, dict) or not (answer.get("id") is None or isinstance(answer.get("id"), int)):
+        if not (answer.get("id") is None or isinstance(answer.get("id"), int)):
             self._lose(channel)
             raise BadMessage(f"{self.address} sent something that is no answer.")
         if answer.get("id") is None:
@@ -221,15 +220,7 @@ class Client(Policy):
                     return self._open_shared(path)
         if self._is_shared:
             raise ConnectionLost(f"There is no shared memory to {address}: no server on this machine offers it there.")
-        try:
-            connection = socket.create_connection((address.host, address.port), timeout=self.timeout)
-        except TimeoutError as error:
-            raise DeadlineExceeded(f"{address} did not answer within {self.timeout:g} s.") from error
-        except OSError as error:
-            raise ConnectionLost(f"Nobody is at {address}: {error}.") from error
-        if address.scheme == "vlas":
-            connection = self._over_tls(connection)
-        return StreamChannel(connection, largest_body=LARGEST_BODY)
+        return StreamChannel(dial(address, self.timeout, self._certificate), largest_body=LARGEST_BODY)
 
     def _open_shared(self, path: Path) -> StreamChannel:
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -237,19 +228,8 @@ class Client(Policy):
             connection.settimeout(self.timeout)
             connection.connect(str(path))
             if peer_user(connection) != os.getuid():
-                raise ConnectionLost(f"The server at {path} is somebody else's.")
+                raise ConnectionLost(f"The server at {path} is another user's.")
         except OSError:
             connection.close()
             raise
         return SharedChannel(connection, largest_body=LARGEST_BODY)
-
-    def _over_tls(self, connection: socket.socket) -> socket.socket:
-        context = ssl.create_default_context(cafile=None if self._certificate is None else str(self._certificate))
-        try:
-            return context.wrap_socket(connection, server_hostname=self.address.host)
-        except TimeoutError as error:
-            connection.close()
-            raise DeadlineExceeded(f"{self.address} did not answer within {self.timeout:g} s.") from error
-        except OSError as error:  # SSLError is one
-            connection.close()
-            raise ConnectionLost(f"There is no TLS with {self.address}: {error}.") from error

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
 
 from vlagents.errors import InvalidInput
+from vlagents.record import Count, Hertz, Name, check, read
 
 Meaning = Literal["absolute", "relative", "delta"]
-"""Whether an action says where to go, how far from where the chunk began, or how far from the action before."""
-MEANINGS = ("absolute", "relative", "delta")
+"""An action is a target, or a motion from where the chunk began, or a motion from the action before."""
+Pixels = Annotated[int, Meta(ge=0, le=1_000_000)]
 
 
 @dataclass(frozen=True)
 class ImageSpec:
-    """A camera's picture."""
+    """A camera's image."""
 
-    name: str
+    name: Name
     """Name of the camera, as in `Observation.images`."""
-    height: int = 0
-    """Pixels; 0 for any."""
-    width: int = 0
-    """Pixels; 0 for any."""
+    height: Pixels = 0
+    """Height [pixels]; 0 for any."""
+    width: Pixels = 0
+    """Width [pixels]; 0 for any."""
 
     def __post_init__(self) -> None:
         """Check the fields.
@@ -31,24 +33,22 @@ class ImageSpec:
         Raises:
             InvalidInput: One is wrong.
         """
-        _check_name("image", self.name)
-        for name in ("height", "width"):
-            _check_whole(f"{name} of image {self.name!r}", getattr(self, name), 0)
+        check(self)
 
 
 @dataclass(frozen=True)
 class PartSpec:
     """A part of the robot's state, or of an action."""
 
-    name: str
+    name: Name
     """Its name: `joints`, `tquat`, `xyzrpy`, `gripper`, `hand`, or another."""
-    size: int
+    size: Count
     """How many numbers it has."""
     unit: str = ""
-    """Of its numbers: `rad`, `m`, `m, rad` where they differ, or what 0 and 1 are, such as `0 closed, 1 open`. Empty
-    where it is not known; then it is not compared."""
+    """Unit of its numbers: `rad`, `m`, `m, rad` where they differ, or the meaning of 0 and 1, such as
+    `0 closed, 1 open`. An empty unit is unknown and is not compared."""
     meaning: Meaning = "absolute"
-    """Of an action: where to go, or how far."""
+    """How to read an action: where to go, or how far."""
 
     def __post_init__(self) -> None:
         """Check the fields.
@@ -56,40 +56,33 @@ class PartSpec:
         Raises:
             InvalidInput: One is wrong.
         """
-        _check_name("part", self.name)
-        _check_whole(f"size of part {self.name!r}", self.size, 1)
-        if self.meaning not in MEANINGS:
-            raise InvalidInput(f"meaning of {self.name!r} is {self.meaning!r}; valid: {', '.join(MEANINGS)}.")
+        check(self)
 
 
 @dataclass(frozen=True)
 class Metadata:
     """What a policy needs, and what it gives."""
 
-    name: str
+    name: Name
     """Name of the policy."""
     action: tuple[PartSpec, ...]
     """Parts of an action, in the order of a chunk's columns."""
     images: tuple[ImageSpec, ...] = ()
-    """Pictures that it needs."""
+    """Images that the policy needs."""
     state: tuple[PartSpec, ...] = ()
-    """Parts of the state that it needs."""
+    """Parts of the state that the policy needs."""
     needs_instruction: bool = False
-    """Whether it must be told in words what to do."""
-    horizon: int = 1
+    """Whether the policy needs an instruction in words."""
+    horizon: Count = 1
     """Rows of a chunk."""
-    rate: float = 0.0
-    """Rows per second [Hz]; 0 where one row is one step of whatever loop asks."""
+    rate: Hertz = 0.0
+    """Rows per second [Hz]; 0 where one row is one step of the calling loop."""
     continues: bool = False
-    """Whether its chunks can go on from an observation's `previous` rows, so that nobody need blend the two."""
+    """Whether chunks can continue an observation's `previous` rows, so that the two need no blending."""
     checkpoint: str = ""
-    """Which weights: a folder or an address, without what is secret in it."""
+    """Folder or address of the weights, without secrets."""
     checkpoint_hash: str = ""
     """SHA-256 of the weights' bytes."""
-    version: str = ""
-    """Of the code that runs it."""
-    extra: Mapping[str, Any] = field(default_factory=dict)
-    """What a server of another kind told besides, as it came."""
 
     def __post_init__(self) -> None:
         """Check the fields.
@@ -97,12 +90,7 @@ class Metadata:
         Raises:
             InvalidInput: One is wrong.
         """
-        _check_name("policy", self.name)
-        _check_whole("horizon", self.horizon, 1)
-        if not (isinstance(self.rate, (int, float)) and math.isfinite(self.rate) and self.rate >= 0):
-            raise InvalidInput(f"rate is {self.rate!r}; valid is a number of hertz, or 0.")
-        if not isinstance(self.continues, bool):
-            raise InvalidInput(f"continues is {self.continues!r}; valid: True, False.")
+        check(self)
         for what in ("images", "state", "action"):
             names = [part.name for part in getattr(self, what)]
             if len(set(names)) < len(names):
@@ -115,16 +103,16 @@ class Metadata:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, as JSON and msgpack take them."""
-        return {**asdict(self), "extra": dict(self.extra)}
+        return asdict(self)
 
     @classmethod
-    def from_dict(cls, given: object) -> Metadata:
+    def from_dict(cls, values: object) -> Metadata:
         """Read what `to_dict` made.
 
         Raises:
             InvalidInput: Something is missing or wrong.
         """
-        return _read(cls, given)
+        return read(cls, values)
 
 
 @dataclass(frozen=True)
@@ -134,28 +122,28 @@ class Offer:
     action: tuple[PartSpec, ...] = ()
     """Parts of an action that the robot takes, in any order."""
     images: tuple[ImageSpec, ...] = ()
-    """Pictures that it shows, with their real sizes."""
+    """Images that the robot shows, with their real sizes."""
     state: tuple[PartSpec, ...] = ()
-    """Parts of the state that it shows."""
+    """Parts of the state that the robot shows."""
     has_instruction: bool = True
-    """Whether it says in words what to do."""
+    """Whether the robot has an instruction in words."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, as JSON and msgpack take them."""
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, given: object) -> Offer:
+    def from_dict(cls, values: object) -> Offer:
         """Read what `to_dict` made.
 
         Raises:
             InvalidInput: Something is missing or wrong.
         """
-        return _read(cls, given)
+        return read(cls, values)
 
 
 def differences(metadata: Metadata, offer: Offer) -> list[str]:
-    """Return what keeps a policy from running on a robot, a sentence each; empty if nothing does."""
+    """Return one sentence for each reason why a policy cannot run on a robot; empty if there is none."""
     found = [
         *_image_differences(metadata.images, offer.images),
         *_part_differences("state", "shows", metadata.state, offer.state),
@@ -210,44 +198,3 @@ def _part_differences(what: str, does: str, needed: Sequence[PartSpec], shown: S
 
 def _listed(names: Mapping[str, object]) -> str:
     return ", ".join(repr(name) for name in names) or "none"
-
-
-def _check_name(what: str, name: object) -> None:
-    if not isinstance(name, str) or not name or len(name) > 200:
-        raise InvalidInput(f"The name of a {what} is {name!r}; valid is a str of 1 to 200 characters.")
-
-
-def _check_whole(what: str, value: object, least: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= 1_000_000:
-        raise InvalidInput(f"{what} is {value!r}; valid is a whole number from {least} to 1000000.")
-
-
-def _known(cls: type, given: object) -> dict[str, Any]:
-    """Return the entries of a dictionary that a class has fields for; others are of a newer version."""
-    if not isinstance(given, Mapping):
-        raise InvalidInput(f"{cls.__name__} is {type(given).__name__}; valid is a dictionary.")
-    names = {item.name for item in fields(cls)}
-    return {name: value for name, value in given.items() if name in names}
-
-
-def _list(values: Mapping[str, Any], name: str) -> Sequence[Any]:
-    found = values.get(name, ())
-    if not isinstance(found, (list, tuple)):
-        raise InvalidInput(f"{name} is {type(found).__name__}; valid is a list.")
-    return found
-
-
-def _read(cls: type, given: object) -> Any:
-    """Return a record of images and parts that was made plain."""
-    values = _known(cls, given)
-    values["images"] = tuple(_made(ImageSpec, _known(ImageSpec, image)) for image in _list(values, "images"))
-    for what in ("state", "action"):
-        values[what] = tuple(_made(PartSpec, _known(PartSpec, part)) for part in _list(values, what))
-    return _made(cls, values)
-
-
-def _made(cls: type, values: dict[str, Any]) -> Any:
-    try:
-        return cls(**values)
-    except TypeError as error:
-        raise InvalidInput(f"{cls.__name__}: {error}") from error

@@ -1,4 +1,4 @@
-"""What a policy is shown: pictures, the robot's state by named parts, an instruction, and when each was measured."""
+"""An observation as a policy sees it: images, the robot's state by named parts, and an instruction."""
 
 from __future__ import annotations
 
@@ -21,28 +21,26 @@ class Observation:
     """
 
     images: Mapping[str, NDArray[np.uint8] | Jpeg] = field(default_factory=dict)
-    """Pictures by camera: RGB, uint8, (height, width, 3), or compressed."""
+    """Images by camera: RGB, uint8, (height, width, 3), or compressed."""
     state: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     """Numbers by part, such as `joints` [rad] or `gripper` (0 closed … 1 open), (n,) each. The metadata have units."""
     instruction: str = ""
-    """What is to be done, in words. Where it is empty, that of the session's `reset` holds."""
+    """The task in words. An empty instruction stands for that of the session's `reset`."""
     goals: Mapping[str, NDArray[np.uint8] | Jpeg] = field(default_factory=dict)
-    """Pictures of the goal, by camera."""
+    """Images of the goal, by camera."""
     time: float = 0.0
-    """When the observation was made [s], by the robot's clock. A chunk's actions count from it."""
-    times: Mapping[str, float] = field(default_factory=dict)
-    """When single sensors measured, by name of image or part [s], by the same clock."""
+    """Time of the observation by the robot's clock [s]. A chunk's actions count from it."""
     session: str = ""
-    """Whose observation it is. A policy keeps its memory of each session apart."""
+    """Name of the robot or copy. A policy keeps its memory of each session apart."""
     previous: NDArray[np.float64] | None = None
-    """(rows, size): what is in flight from the time of this observation on, in rows as a chunk has them. For policies
-    whose metadata say `continues`, which go on from it (real-time chunking, Black et al. 2025, arXiv:2506.07339); a
-    chunk that does has `continues` 1 in its info. openpi's websocket does not carry it."""
+    """Actions that are already planned from the time of this observation on, (rows, size), in rows as of a chunk. For
+    policies whose metadata say `continues` (real-time chunking, Black et al. 2025, arXiv:2506.07339); a chunk that
+    continues them has `continues` 1 in its info. openpi's websocket does not carry them."""
     frozen: int = 0
-    """How many rows of `previous` will be executed before the answer is known: it must begin with these."""
+    """Rows of `previous` that will be executed before the answer arrives: the answer must begin with these."""
 
     def __post_init__(self) -> None:
-        """Check types and shapes, so that a mistake is found where it was made.
+        """Check types and shapes, so that a mistake is found where it is made.
 
         Raises:
             InvalidInput: One is wrong; the message names it.

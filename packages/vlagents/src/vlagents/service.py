@@ -1,4 +1,4 @@
-"""A policy behind any wire: who may ask, whose session is whose, and one call at a time."""
+"""A policy behind any wire: admission by token, sessions apart by connection, and one call at a time."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from typing import Any
 
 from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Mismatch, Unauthorized, VlagentsError
-from vlagents.listening import LEAVING
-from vlagents.metadata import Metadata, Offer, differences
+from vlagents.metadata import Metadata, differences
 from vlagents.observation import Observation
 from vlagents.policy import Policy
-from vlagents.wire.calls import VERSION, chunk_to_values, failure, mapping, observation_from_values
-from vlagents.wire.deadline import Deadline
+from vlagents.record import read
+from vlagents.wire.calls import VERSION, Call, chunk_to_values, failure, observation_from_values
+from vlagents.wire.link import Deadline
 
 _log = logging.getLogger(__name__)
 
@@ -26,6 +26,8 @@ MOST_SESSIONS = 256
 """Sessions of one connection."""
 LONGEST_WAIT = 60.0
 """How long a call waits for the policy at most, if the client does not say [s]."""
+LEAVING = 1.0
+"""How long the end of a server waits for calls in progress [s]."""
 
 
 @dataclass(eq=False)
@@ -33,16 +35,16 @@ class Caller:
     """One connection, as the service knows it."""
 
     name: str
-    """Where it comes from, for the log."""
+    """Where it connects from, for the log."""
     number: int
     is_known: bool = False
-    """Whether it has said hello, with the right token."""
+    """Whether it has sent the right token."""
     sessions: set[str] = field(default_factory=set)
 
 
 @dataclass(eq=False)
 class _Waiting:
-    """An observation whose actions somebody waits for."""
+    """An observation that waits for its actions."""
 
     observation: Observation
     begun: float = 0.0
@@ -54,9 +56,9 @@ class _Waiting:
 class Service:
     """Answers calls with a policy.
 
-    Sessions of one caller are not those of another, even if they are called alike: what a caller does, and that it
-    goes, touches nobody else. The policy is asked by one thread at a time; one that has `infer_batch` is asked at
-    once for all who wait.
+    Sessions of one caller are not those of another, even if they have the same name: the calls and the end of one do
+    not affect any other. One thread at a time calls the policy; a policy that has `infer_batch` answers all waiting
+    observations at once.
     """
 
     def __init__(self, policy: Policy, *, token: str | None = None) -> None:
@@ -64,7 +66,7 @@ class Service:
 
         Args:
             policy: It is closed with the service.
-            token: What callers must know; None for nothing.
+            token: The secret that callers must know; None for none.
 
         Raises:
             InvalidInput: The token is empty.
@@ -86,14 +88,14 @@ class Service:
         """Whether the policy was still in a call when this was closed."""
 
     def caller(self, name: str) -> Caller:
-        """Return a new caller, who has not said hello yet."""
+        """Return a new caller, which is not known yet."""
         return Caller(name=name, number=next(self._numbers))
 
     def admit(self, caller: Caller, token: object) -> None:
-        """Let a caller in who knows the token.
+        """Admit a caller that knows the token.
 
         Raises:
-            Unauthorized: It does not.
+            Unauthorized: It does not know it.
         """
         if self._token is not None:
             given = token if isinstance(token, str) else ""
@@ -103,10 +105,10 @@ class Service:
         caller.is_known = True
 
     def answer(self, caller: Caller, values: object) -> dict[str, Any]:
-        """Return the answer to a call; whatever goes wrong is one too.
+        """Return the answer to a call, which may be an error.
 
         Raises:
-            BadMessage: It is no call at all.
+            BadMessage: The values are no call.
             Unauthorized: The caller does not know the token.
         """
         if not isinstance(values, Mapping) or not isinstance(values.get("call"), str):
@@ -115,16 +117,16 @@ class Service:
         if not isinstance(number, int):
             raise BadMessage("A call has no number.")
         try:
-            return {"id": number, **self._answer(caller, str(values["call"]), values)}
+            return {"id": number, **self._answer(caller, values)}
         except (BadMessage, Unauthorized):
             raise
-        except Exception as error:  # noqa: BLE001  whatever a policy raises, the caller is told
+        except Exception as error:  # noqa: BLE001  the caller gets whatever a policy raises
             if not isinstance(error, VlagentsError):
                 _log.exception("The policy failed to answer %s of %s", values["call"], caller.name)
             return failure(number, error)
 
     def health(self) -> dict[str, Any]:
-        """Return how the service is."""
+        """Return version, running time and number of answers."""
         from vlagents import __version__
 
         return {
@@ -136,10 +138,10 @@ class Service:
         }
 
     def infer(self, caller: Caller, observation: Observation, within: float | None = None) -> dict[str, Any]:
-        """Return the policy's chunk for an observation of a caller, as values, and how long each part took.
+        """Return the policy's chunk for an observation of a caller, as plain values, with the time of each part.
 
         Raises:
-            InvalidInput: The policy returned something else.
+            InvalidInput: The policy returned no chunk, or one of another size.
         """
         own = self._own(caller, observation.session)
         begin = time.perf_counter()
@@ -158,12 +160,10 @@ class Service:
         chunk = asked.answer
         if not isinstance(chunk, Chunk):
             given = "None" if chunk is None else type(chunk).__name__
-            told = (
-                f"`infer` of the policy {self.metadata.name!r} returned {given}; valid is "
-                "vlagents.Chunk(actions, period, time)."
-            )
-            _log.error("%s", told)
-            raise InvalidInput(told)
+            text = f"`infer` of the policy {self.metadata.name!r} returned {given}; valid is "
+            text += "vlagents.Chunk(actions, period, time)."
+            _log.error("%s", text)
+            raise InvalidInput(text)
         if chunk.actions.shape[1] != self.metadata.size and self.metadata.action:
             raise InvalidInput(
                 f"The policy gave actions of {chunk.actions.shape[1]} numbers; its metadata says {self.metadata.size}."
@@ -179,7 +179,7 @@ class Service:
         self._in_turn(lambda: self._policy.reset(own, instruction, seed=seed), within)
 
     def forget(self, caller: Caller, session: str | None = None) -> None:
-        """Let go of one session of a caller, or of all of them when it goes."""
+        """Forget one session of a caller, or all of them when it leaves."""
         names = [session] if session is not None else list(caller.sessions)
         for name in names:
             if name in caller.sessions:
@@ -207,41 +207,36 @@ class Service:
         finally:
             self._turn.release()
 
-    def _answer(self, caller: Caller, call: str, values: Mapping[str, Any]) -> dict[str, Any]:
-        if call == "hello":
-            return self._hello(caller, values)
+    def _answer(self, caller: Caller, values: Mapping[str, Any]) -> dict[str, Any]:
+        call = read(Call, values)
+        if call.call == "hello":
+            return self._hello(caller, call)
         if not caller.is_known:
             raise Unauthorized("A connection begins with hello.")
-        within = _seconds(values.get("within"))
-        if call == "infer":
-            return {"chunk": self.infer(caller, observation_from_values(values.get("observation")), within)}
-        if call == "reset":
-            session, instruction = _text("session", values), _text("instruction", values)
-            self.reset(caller, session, instruction, _seed(values.get("seed")), within)
+        if call.call == "infer":
+            return {"chunk": self.infer(caller, observation_from_values(call.observation), call.within)}
+        if call.call == "reset":
+            self.reset(caller, call.session, call.instruction, call.seed, call.within)
             return {}
-        if call == "forget":
-            self.forget(caller, _text("session", values))
+        if call.call == "forget":
+            self.forget(caller, call.session)
             return {}
-        if call == "metadata":
+        if call.call == "metadata":
             return {"metadata": self.metadata.to_dict()}
-        if call == "ping":
+        if call.call == "ping":
             return {"health": self.health()}
-        raise InvalidInput(f"There is no call {call!r:.80}; valid: hello, metadata, reset, infer, forget, ping.")
+        raise InvalidInput(f"There is no call {call.call!r:.80}; valid: hello, metadata, reset, infer, forget, ping.")
 
-    def _hello(self, caller: Caller, values: Mapping[str, Any]) -> dict[str, Any]:
-        if values.get("version") != VERSION:
-            raise BadMessage(
-                f"The other side speaks version {values.get('version')!r:.40}; this server speaks {VERSION}."
-            )
-        self.admit(caller, values.get("token"))
-        if values.get("offer") is not None:
-            found = differences(self.metadata, Offer.from_dict(mapping("offer", values["offer"])))
-            if found:
-                raise Mismatch(found)
+    def _hello(self, caller: Caller, call: Call) -> dict[str, Any]:
+        if call.version != VERSION:
+            raise BadMessage(f"The other side speaks version {call.version!r:.40}; this server speaks {VERSION}.")
+        self.admit(caller, call.token)
+        if call.offer is not None and (found := differences(self.metadata, call.offer)):
+            raise Mismatch(found)
         return {"metadata": self.metadata.to_dict(), "health": self.health()}
 
     def _own(self, caller: Caller, session: str) -> str:
-        """Return what a caller's session is called here."""
+        """Return the unique name of a caller's session."""
         if session not in caller.sessions and len(caller.sessions) >= MOST_SESSIONS:
             raise InvalidInput(
                 f"A connection has up to {MOST_SESSIONS} sessions; `forget` one that does not come back."
@@ -252,9 +247,9 @@ class Service:
         return f"{caller.number}/{session}"
 
     def _answer_waiting(self, asked: _Waiting) -> None:
-        """Ask the policy for one observation, and if it can for all others that wait."""
+        """Call the policy with one observation, or with all that wait if it can."""
         if asked.begun:
-            return  # with the turn of another
+            return  # in the turn of another call
         together = list(self._waiting) if self._is_batched else [asked]
         for each in together:
             self._waiting.pop(each, None)
@@ -267,42 +262,21 @@ class Service:
             for each, answer in zip(together, answers, strict=True):
                 each.answer = answer
             return
-        except Exception:  # noqa: BLE001  whose fault it is shows one by one
+        except Exception:  # noqa: BLE001  one by one shows which observation fails
             _log.exception("The policy failed to answer %d observations at once", len(together))
         for each in together:
             try:
                 each.answer = self._policy.infer(each.observation)
-            except Exception as error:  # noqa: BLE001  it is raised where it was asked for
+            except Exception as error:  # noqa: BLE001  raised in the call that waits for it
                 each.error = error
 
     def _in_turn(self, act: Callable[[], Any], within: float | None) -> Any:
         wait = LONGEST_WAIT if within is None else min(within, LONGEST_WAIT)
         if not self._turn.acquire(timeout=wait):
-            raise Deadline(wait, "the policy, which others are asking,").exceeded()
+            raise Deadline(wait, "The policy, which is busy with other calls,").exceeded()
         try:
             if self._is_closed:
                 raise ConnectionLost("The server is closing.")
             return act()
         finally:
             self._turn.release()
-
-
-def _text(name: str, values: Mapping[str, Any]) -> str:
-    value = values.get(name, "")
-    if not isinstance(value, str) or len(value) > 100_000:
-        raise InvalidInput(f"{name} is {value!r:.80}; valid is a str of up to 100000 characters.")
-    return value
-
-
-def _seed(value: object) -> int | None:
-    if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value < 0):
-        raise InvalidInput(f"seed is {value!r:.80}; valid is a whole number from 0, or None.")
-    return value
-
-
-def _seconds(value: object) -> float | None:
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < float("inf"):
-        raise InvalidInput(f"within is {value!r:.80}; valid is a number of seconds above 0, or None.")
-    return float(value)

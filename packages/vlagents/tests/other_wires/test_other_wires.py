@@ -26,8 +26,8 @@ from vlagents import (
     Policy,
     PolicyFailed,
     Unauthorized,
+    connect,
 )
-from vlagents.connect import connect
 from vlagents.other_wires import groot, openvla
 from vlagents.other_wires.groot import GrootServer
 from vlagents.other_wires.openvla import OpenvlaServer

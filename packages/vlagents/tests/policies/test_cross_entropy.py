@@ -53,5 +53,5 @@ def test_a_seed_gives_the_same_plan_again(torch: Any) -> None:
     "changed", [{"samples": 0}, {"best": 1}, {"best": 500}, {"inertia": 1.0}, {"reach": 0.0}, {"rounds": 2.5}]
 )
 def test_a_search_that_cannot_be_is_refused(changed: dict[str, Any]) -> None:
-    with pytest.raises(InvalidInput, match="of the search"):
+    with pytest.raises(InvalidInput, match="of Search"):
         Search(**changed)

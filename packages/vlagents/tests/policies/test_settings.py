@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vlagents import InvalidInput, Observation
+from vlagents import Chunk, InvalidInput, Metadata, Observation
 from vlagents.metadata import PartSpec
 from vlagents.policies import catalogue, inputs
-from vlagents.policies.sessions import Sessions, told
+from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import FILE, Settings, check_parts, chosen
 
 
@@ -40,13 +40,13 @@ def test_settings_are_read_from_the_checkpoint_or_another_file(tmp_path: Path) -
     [
         ([], "list"),
         ({"data_set": "x"}, "dataset, images, state"),
-        ({"dataset": 1}, "valid is a str"),
-        ({"images": ["side"]}, "valid is a dictionary"),
-        ({"images": {"image": 3}}, "names of cameras"),
-        ({"rate": float("nan")}, "hertz"),
-        ({"rate": True}, "hertz"),
+        ({"dataset": 1}, "dataset.*Expected `str`, got `int`"),
+        ({"images": ["side"]}, "images.*Expected `object`, got `array`"),
+        ({"images": {"image": 3}}, "images.*Expected `str`, got `int`"),
+        ({"rate": float("nan")}, "rate"),
+        ({"rate": True}, "rate.*got `bool`|Expected `float`, got `bool`.*rate"),
         ({"state": [{"name": "joints", "size": 0}]}, "size"),
-        ({"state": "joints"}, "valid is a list"),
+        ({"state": "joints"}, "Expected `array`, got `str`.*state"),
     ],
 )
 def test_a_wrong_setting_is_named_with_what_is_valid(tmp_path: Path, given: Any, said: str) -> None:
@@ -99,18 +99,26 @@ def test_a_picture_of_another_size_is_refused_where_the_model_has_one() -> None:
             find(observation, "side", 8, 8)
 
 
+class Remembering(SessionPolicy[list[int]]):
+    def infer(self, observation: Observation) -> Chunk:
+        raise NotImplementedError
+
+    def _begin(self, seed: int | None) -> list[int]:
+        return [seed or 0]
+
+
 def test_sessions_remember_apart_and_forget() -> None:
-    sessions: Sessions[list[int]] = Sessions(lambda seed: [seed or 0])
-    sessions.reset("left", "push", 3)
-    left, right = (sessions.of(Observation(session=name)) for name in ("left", "right"))
+    policy = Remembering(Metadata("Octo", ()))
+    policy.reset("left", "push", seed=3)
+    left, right = (policy._session(Observation(session=name)) for name in ("left", "right"))
     left.memory.append(4)
     assert (left.memory, right.memory) == ([3, 4], [0])
-    assert told(Observation(session="left"), left, "Octo") == "push"
-    assert told(Observation(instruction="lift"), left, "Octo") == "lift"
-    with pytest.raises(InvalidInput, match="told in words"):
-        told(Observation(session="right"), right, "Octo")
-    sessions.forget("left")
-    assert sessions.of(Observation(session="left")).memory == [0]
+    assert policy._instruction(Observation(session="left")) == "push"
+    assert policy._instruction(Observation(session="left", instruction="lift")) == "lift"
+    with pytest.raises(InvalidInput, match="Octo needs an instruction"):
+        policy._instruction(Observation(session="right"))
+    policy.forget("left")
+    assert policy._session(Observation(session="left")).memory == [0]
 
 
 def test_policies_without_settings_refuse_them(tmp_path: Path) -> None:

@@ -11,9 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from vlagents.errors import BadMessage, ConnectionLost, DeadlineExceeded
-from vlagents.wire.deadline import Deadline
 from vlagents.wire.frames import PIECE, FrameChannel, mask_into
-from vlagents.wire.link import Link
+from vlagents.wire.link import Deadline, Link
 from websockets.frames import Frame, Opcode
 from websockets.streams import StreamReader
 

@@ -2,11 +2,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgpack
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import msgpack
 from vlagents.errors import BadMessage
 from vlagents.wire.bulk import LARGE
 from vlagents.wire.openpi import pack, pack_parts, unpack
@@ -40,7 +40,7 @@ def test_parts_are_what_the_whole_is_and_are_read_as_they_were(values: dict[str,
 
 @given(NESTED, st.binary(min_size=1, max_size=5))
 def test_large_messages_are_read_as_the_library_reads_them_and_to_the_end(value: Any, behind: bytes) -> None:
-    data: Any = msgpack.packb([bytes(LARGE), value, bytes(LARGE)])
+    data: Any = msgpack.encode([bytes(LARGE), value, bytes(LARGE)])
     came = unpack(data)
     assert [bytes(came[0]), came[1], bytes(came[2])] == [bytes(LARGE), value, bytes(LARGE)]
     for wrong in (data + behind, data[:-1], data[: LARGE + 6]):
@@ -60,7 +60,7 @@ def test_large_arrays_are_not_copied_and_all_can_be_written() -> None:
 @pytest.mark.parametrize("one", [b"\x80", b"\x91\x90", b"\xa3abc", b"\xc4\x01a"])
 def test_what_is_no_large_array_is_at_most_as_much_as_a_header(one: bytes) -> None:
     def message(count: int) -> bytes:
-        return b"\x92" + msgpack.packb(bytes(LARGE)) + b"\xdd" + count.to_bytes(4, "big") + one * count
+        return b"\x92" + msgpack.encode(bytes(LARGE)) + b"\xdd" + count.to_bytes(4, "big") + one * count
 
     count = LARGEST_HEADER // len(one)
     assert len(unpack(message(count - 10))[1]) == count - 10

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from vlagents import BadMessage, ConnectionLost
-from vlagents.wire.deadline import Deadline
+from vlagents.wire.link import Deadline
 from vlagents.wire.shared import HEAD, MAGIC, PLACE, SharedChannel, is_supported
 from vlagents.wire.stream import PREFIX
 
@@ -62,18 +62,18 @@ def test_memory_that_nobody_keeps_is_used_again(channels: Any) -> None:
     left, right = channels
     places = set()
     for fill in range(6):
-        left.send(np.full(1_000_000, fill, np.uint8), soon())
-        places.add(right.receive(soon()).ctypes.data)
+        left.send({"a": np.full(1_000_000, fill, np.uint8)}, soon())
+        places.add(right.receive(soon())["a"].ctypes.data)
     assert len(places) == 1
 
 
 def test_the_third_of_messages_that_nobody_read_takes_the_place_of_the_first(channels: Any) -> None:
     left, right = channels
     for fill in (1, 2):
-        left.send(np.full(100_000, fill, np.uint8), soon())
-    assert [right.receive(soon())[0] for _ in range(2)] == [1, 2]
+        left.send({"a": np.full(100_000, fill, np.uint8)}, soon())
+    assert [right.receive(soon())["a"][0] for _ in range(2)] == [1, 2]
     for fill in (3, 4, 5):
-        left.send(np.full(100_000, fill, np.uint8), soon())
+        left.send({"a": np.full(100_000, fill, np.uint8)}, soon())
     with pytest.raises(BadMessage, match="does not hold"):
         right.receive(soon())
 
@@ -81,7 +81,7 @@ def test_the_third_of_messages_that_nobody_read_takes_the_place_of_the_first(cha
 def test_nothing_is_left_behind(channels: Any) -> None:
     before = named_memory()
     left, right = channels
-    left.send(np.zeros(100_000, np.uint8), soon())
+    left.send({"a": np.zeros(100_000, np.uint8)}, soon())
     right.receive(soon())
     assert named_memory() == before
 
@@ -90,7 +90,7 @@ def test_no_file_stays_open(channels: Any) -> None:
     left, right = channels
     before = len(os.listdir("/proc/self/fd"))
     for size in (100_000, 3_000_000, 30_000_000):
-        left.send(np.zeros(size, np.uint8), soon())
+        left.send({"a": np.zeros(size, np.uint8)}, soon())
         right.receive(soon())
     left.close()
     right.close()
@@ -117,7 +117,7 @@ def send_raw(left: SharedChannel, file: int | None, *, number: int, slot: int, s
 )
 def test_a_place_that_is_none_is_refused(channels: Any, slot: int, slot_size: int, size: int, number: int) -> None:
     left, right = channels
-    left.send(np.zeros(100_000, np.uint8), soon())
+    left.send({"a": np.zeros(100_000, np.uint8)}, soon())
     right.receive(soon())
     send_raw(left, None, number=number, slot=slot, slot_size=slot_size, size=size)
     with pytest.raises(BadMessage):
@@ -162,12 +162,12 @@ def test_channels_serve_threads_on_both_sides(channels: Any) -> None:
     def serve() -> None:
         for _ in range(50):
             came = right.receive(soon())
-            right.send({"sum": int(came.sum())}, soon())
+            right.send({"sum": int(came["a"].sum())}, soon())
 
     thread = threading.Thread(target=serve)
     thread.start()
     for i in range(50):
-        left.send(np.full(100_000, i, np.uint8), soon())
+        left.send({"a": np.full(100_000, i, np.uint8)}, soon())
         answered.append(left.receive(soon())["sum"])
     thread.join()
     assert answered == [100_000 * i for i in range(50)]
@@ -175,13 +175,13 @@ def test_channels_serve_threads_on_both_sides(channels: Any) -> None:
 
 def test_a_channel_that_another_thread_stops_is_closed_by_the_one_that_uses_it(channels: Any) -> None:
     left, right = channels
-    left.send(np.zeros(100_000, np.uint8), soon())
+    left.send({"a": np.zeros(100_000, np.uint8)}, soon())
     came = right.receive(soon())
     files = len(os.listdir("/proc/self/fd"))
     threading.Timer(0.05, right.stop).start()
     with pytest.raises(ConnectionLost):
         right.receive(soon())
-    assert came.sum() == 0  # its memory stayed
+    assert came["a"].sum() == 0  # its memory stayed
     with pytest.raises(ConnectionLost):
         left.receive(soon())
     assert len(os.listdir("/proc/self/fd")) < files

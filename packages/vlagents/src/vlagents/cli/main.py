@@ -3,27 +3,38 @@
 from __future__ import annotations
 
 import argparse
+import importlib
+import json
 import logging
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from vlagents import __version__
-from vlagents.cli.bench import bench
-from vlagents.connect import connect
+from vlagents.connection import connect
 from vlagents.errors import InvalidInput, VlagentsError
-from vlagents.policies import catalogue, recipes
-from vlagents.server import Server
-from vlagents.websocket import WebsocketServer
+from vlagents.observation import Observation
+from vlagents.policies import catalogue
+from vlagents.policy import Policy
 
 TOKEN = "VLAGENTS_TOKEN"
 """Environment variable with the token: words of a command can be read by everybody on the machine."""
+SERVERS = {
+    "vla": "vlagents.server:Server",
+    "ws": "vlagents.websocket.server:WebsocketServer",
+    "gr00t": "vlagents.other_wires.groot:GrootServer",
+    "openvla": "vlagents.other_wires.openvla:OpenvlaServer",
+}
+"""The class of each wire; a module is imported when it is used."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-"""What ends a server."""
+"""Signals that end a server."""
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -67,7 +78,10 @@ def _parser() -> argparse.ArgumentParser:
     wire = serve.add_mutually_exclusive_group()
     wire.add_argument("--ws", action="store_true", help="openpi's websocket in place of TCP and shared memory")
     wire.add_argument(
-        "--wire", choices=("gr00t", "openvla"), help="GR00T's ZeroMQ (extra gr00t), or OpenVLA's POST /act"
+        "--wire",
+        choices=("vla", "gr00t", "openvla"),
+        default="vla",
+        help="GR00T's ZeroMQ (extra gr00t), or OpenVLA's POST /act",
     )
     serve.add_argument("--token-file", type=Path, help=token)
     serve.add_argument("--certificate", type=Path, help="file with a certificate, for TLS")
@@ -75,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     serve.set_defaults(act=_serve)
 
     recipe = verbs.add_parser("recipe", help="print the script that makes an environment for a family of policies")
-    recipe.add_argument("family", help=f"its name: {', '.join(recipes.names())}")
+    recipe.add_argument("family", help=f"its name: {', '.join(catalogue.recipes())}")
     recipe.set_defaults(act=_recipe)
 
     ping = verbs.add_parser("ping", help="say how a server is, and what its policy needs and gives")
@@ -119,16 +133,10 @@ def _serve(given: Any) -> int:
     policy = catalogue.load(given.policy, given.checkpoint, given.settings, _options(given.more))
     options: dict[str, Any] = {"host": given.host, "token": _token(given)}
     options |= {} if given.port is None else {"port": given.port}
-    if given.wire is not None:
-        if given.certificate is not None or given.key is not None:
-            raise InvalidInput(f"The wire {given.wire!r} has no TLS; valid for it are --host, --port and a token.")
-        from vlagents.other_wires.groot import GrootServer
-        from vlagents.other_wires.openvla import OpenvlaServer
-
-        server: Any = (GrootServer if given.wire == "gr00t" else OpenvlaServer)(policy, **options)
-    else:
-        kind = WebsocketServer if given.ws else Server
-        server = kind(policy, **options, certificate=given.certificate, key=given.key)
+    options |= {} if given.certificate is None else {"certificate": given.certificate}
+    options |= {} if given.key is None else {"key": given.key}
+    module, _, name = SERVERS["ws" if given.ws else given.wire].partition(":")
+    server = getattr(importlib.import_module(module), name)(policy, **options)
     stop = threading.Event()
 
     def end(*_: object) -> None:
@@ -149,7 +157,7 @@ def _serve(given: Any) -> int:
 
 
 def _recipe(given: Any) -> int:
-    print(recipes.read(given.family), end="")
+    print(catalogue.recipe(given.family), end="")
     return 0
 
 
@@ -172,3 +180,43 @@ def _bench(given: Any) -> int:
     with connect(given.address, token=_token(given), timeout=given.timeout, certificate=given.certificate) as client:
         print(bench(client, calls=given.calls, images=given.image))
     return 0
+
+
+def bench(client: Policy, *, calls: int = 200, images: Sequence[str] = ()) -> str:
+    """Return a JSON object with the median and the 99th percentile of the time of a call [ms].
+
+    Args:
+        client: The policy to call.
+        calls: Number of calls, after ten that do not count.
+        images: Images of each call, as `HEIGHTxWIDTH`; by default those that the policy needs.
+
+    Raises:
+        InvalidInput: A size is wrong.
+    """
+    metadata = client.metadata()
+    random = np.random.default_rng(0)
+    sizes = {f"image {i}": _size(text) for i, text in enumerate(images)} or {
+        image.name: (image.height or 224, image.width or 224) for image in metadata.images
+    }
+    observation = Observation(
+        images={name: random.integers(0, 256, (*size, 3), np.uint8) for name, size in sizes.items()},
+        state={part.name: np.zeros(part.size) for part in metadata.state},
+        instruction="measure",
+        session="bench",
+    )
+    client.reset("bench", "measure")
+    seconds = []
+    for _ in range(calls + 10):
+        begin = time.perf_counter()
+        client.infer(observation)
+        seconds.append(time.perf_counter() - begin)
+    client.forget("bench")
+    half, most = 1e3 * np.quantile(seconds[10:], [0.5, 0.99])
+    return json.dumps({"calls": calls, "p50_ms": round(float(half), 3), "p99_ms": round(float(most), 3)})
+
+
+def _size(text: str) -> tuple[int, int]:
+    height, _, width = text.partition("x")
+    if not (height.isdecimal() and width.isdecimal() and int(height) * int(width)):
+        raise InvalidInput(f"An image is {text!r}; valid is HEIGHTxWIDTH, such as 224x224.")
+    return int(height), int(width)

@@ -1,8 +1,8 @@
 """OpenVLA's wire, both ways: HTTP `POST /act` with JSON, where arrays are json-numpy's maps.
 
 Layout as in OpenVLA's `vla-scripts/deploy.py`: `{"image": uint8 (height, width, 3), "instruction": str, "unnorm_key"?}`
-goes there, or `{"encoded": JSON of that}`; one action, (7,), comes back, or a chunk, (horizon, size); with `encoded` as
-JSON in a string. An array is `{"__numpy__": base64, "dtype", "shape"}`. What fails comes back as the text "error".
+is the request, or `{"encoded": JSON of that}`; the answer is one action, (7,), or a chunk, (horizon, size), which after
+`encoded` is JSON in a string. An array is `{"__numpy__": base64, "dtype", "shape"}`. A failure is "error".
 """
 
 from __future__ import annotations
@@ -12,18 +12,15 @@ import binascii
 import http.client
 import json
 import logging
-import math
 import socket
 import threading
 from collections.abc import Mapping
 from http.server import BaseHTTPRequestHandler
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlagents.address import Address
 from vlagents.errors import (
     BadMessage,
     ConnectionLost,
@@ -32,40 +29,40 @@ from vlagents.errors import (
     Unauthorized,
     VlagentsError,
 )
-from vlagents.listening import TRANSFER, Acceptor, Guest, Listening
 from vlagents.observation import Observation
-from vlagents.other_wires.asked import Asked
+from vlagents.other_wires.foreign_client import ForeignClient
 from vlagents.policy import Policy
-from vlagents.service import Caller, Service
-from vlagents.wire.deadline import Deadline
-from vlagents.wire.message import DTYPES, MOST_AXES
+from vlagents.service import Caller
+from vlagents.wire.link import Deadline
+from vlagents.wire.message import array_of
+from vlagents.wire_server import Guest, WireServer
 
 _log = logging.getLogger(__name__)
 
 LARGEST = 32 << 20
 """Most bytes of a request or an answer."""
 MOST_VALUES = 64 << 10
-"""Most lists, dictionaries and commas in JSON; a picture is one long string."""
+"""Most lists, dictionaries and commas in JSON; an image is one long string."""
 
 
-class OpenvlaClient(Asked):
-    """Asks a server of OpenVLA, at `openvla+http://host:port`, with one picture."""
+class OpenvlaClient(ForeignClient):
+    """Asks a server of OpenVLA, at `openvla+http://host:port`, with one image."""
 
     def __init__(self, address: str, *, image: str = "", unnorm_key: str = "", **options: Any) -> None:
-        """Set what the server does not tell.
+        """Set what the server does not say.
 
         Args:
             address: Where the server is.
-            image: The camera whose picture it is shown; by default the only one.
-            unnorm_key: Of which dataset's statistics the actions are; by default the server's.
-            options: As of `Asked`.
+            image: The camera whose image is sent; by default the only one.
+            unnorm_key: The dataset whose statistics scale the actions; by default the server's.
+            options: As of `ForeignClient`.
         """
         super().__init__(address, **options)
         self._image, self._unnorm_key = image, unnorm_key
 
     def _ask(self, observation: Observation, instruction: str) -> NDArray[Any]:
         if not self._image and len(observation.images) != 1:
-            raise InvalidInput(f"OpenVLA sees one picture; there are {sorted(observation.images)}. Give `image`.")
+            raise InvalidInput(f"OpenVLA sees one image; there are {sorted(observation.images)}. Give `image`.")
         picture = observation.image(self._image or next(iter(observation.images)))
         request: dict[str, Any] = {"image": to_map(picture), "instruction": instruction}
         if self._unnorm_key:
@@ -85,7 +82,7 @@ class OpenvlaClient(Asked):
         if self._token is not None:
             headers["Authorization"] = f"Bearer {self._token}"
 
-        def end() -> None:  # a server that drips is late at the deadline, not so long after each drop
+        def end() -> None:  # a server that sends byte by byte is late at the deadline, too
             late.set()
             if connection.sock is not None:
                 connection.sock.shutdown(socket.SHUT_RDWR)
@@ -117,72 +114,30 @@ class OpenvlaClient(Asked):
         return bytes(found)
 
 
-class OpenvlaServer:
+class OpenvlaServer(WireServer):
     """Answers OpenVLA's clients with a policy. HTTP has no connection to tell robots apart: there is one session."""
 
-    def __init__(
-        self,
-        policy: Policy,
-        *,
-        host: str = "127.0.0.1",
-        port: int = 8000,
-        token: str | None = None,
-        image: str = "image",
-    ) -> None:
+    schemes = ("openvla+http", None)
+
+    def __init__(self, policy: Policy, *, port: int = 8000, image: str = "image", **options: Any) -> None:
         """Prepare; `start` or a `with` block opens the socket.
 
         Args:
-            policy: It is closed with the server.
-            host: As in `Listening`.
-            port: As in `Listening`.
-            token: As in `Listening`; clients send it as `Authorization: Bearer TOKEN`.
-            image: What the policy calls the picture.
+            policy: The policy to serve; it is closed with the server.
+            port: TCP port; 0 for any that is free.
+            image: The policy's name of the image.
+            options: `host`, and `token`, which clients send as `Authorization: Bearer TOKEN`, as of `WireServer`.
 
         Raises:
             InvalidInput: The address is open to others and there is no token.
         """
-        self._listening = Listening(host=host, port=port, token=token)
-        self.service = Service(policy, token=token)
+        super().__init__(policy, port=port, **options)
         self._caller: Caller = self.service.caller("openvla")
-        self._image, self._port = image, port
-        self._acceptor = Acceptor()
-
-    @property
-    def address(self) -> Address:
-        """Where the server listens."""
-        return Address("openvla+http", host=self._listening.host, port=self._port)
-
-    def start(self) -> OpenvlaServer:
-        """Listen, and answer in threads of its own.
-
-        Raises:
-            AddressTaken: Something listens there already.
-            OSError: The port cannot be had.
-        """
-        listener = self._listening.open()
-        self._port = listener.getsockname()[1]
-        self._acceptor.listen(listener, self._converse)
-        return self
-
-    def close(self) -> None:
-        """End all connections, then close the policy, as `Service.close` does. A second call does nothing."""
-        self._acceptor.close()
-        self.service.close()
-
-    def __enter__(self) -> OpenvlaServer:
-        """Start."""
-        return self.start()
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()
+        self._image = image
 
     def _converse(self, guest: Guest) -> None:
-        """Answer one request."""
-        timer = threading.Timer(TRANSFER, guest.connection.shutdown, (socket.SHUT_RD,))
-        timer.start()  # for the whole request, however it drips
+        timer = threading.Timer(self._transfer, guest.connection.shutdown, (socket.SHUT_RD,))
+        timer.start()  # for the whole request, even if it arrives byte by byte
         outside = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -211,7 +166,7 @@ class OpenvlaServer:
 
     def _answered(self, request: BaseHTTPRequestHandler, guest: Guest) -> tuple[int, str]:
         if "Origin" in request.headers:
-            _log.warning("%s was refused: a page in a browser asked, and pages may not", guest.name)
+            _log.warning("%s was refused: a page in a browser sent a request, and pages may not", guest.name)
             return 403, '"error"'
         kind, _, token = str(request.headers.get("Authorization", "")).partition(" ")
         try:
@@ -228,7 +183,7 @@ class OpenvlaServer:
             given = from_json(request.rfile.read(int(length)))
             is_encoded = isinstance(given, Mapping) and isinstance(given.get("encoded"), str)
             answer = self._act(from_json(given["encoded"].encode()) if is_encoded else given)
-        except Exception as error:  # noqa: BLE001  as OpenVLA does: the client is told that, not why
+        except Exception as error:  # noqa: BLE001  as OpenVLA does: the client learns that it failed, not why
             known = isinstance(error, VlagentsError)
             _log.warning("A request of %s failed: %s", guest.name, error, exc_info=not known)
             return 200, '"error"'
@@ -253,9 +208,9 @@ def from_json(data: bytes) -> Any:
     """Read JSON with json-numpy's arrays.
 
     Raises:
-        BadMessage: It is none, or has more than `MOST_VALUES` values.
+        BadMessage: It is no JSON, or has more than `MOST_VALUES` values.
     """
-    # Two bytes of a list in JSON are 56 of memory, and while JSON is read nobody else gets Python's lock.
+    # Two bytes of a list in JSON are 56 of memory, and other threads wait for Python's lock while JSON is read.
     if sum(data.count(mark) for mark in b"[{,") > MOST_VALUES:
         raise BadMessage(f"JSON has more than {MOST_VALUES} values; an array is the base64 of its bytes.")
     try:
@@ -269,16 +224,8 @@ def from_json(data: bytes) -> Any:
 def _from_map(found: dict[str, Any]) -> Any:
     if "__numpy__" not in found:
         return found
-    dtype, shape = found.get("dtype"), found.get("shape")
-    if dtype not in DTYPES:
-        raise BadMessage(f"An array has the dtype {dtype!r:.40}; valid: {', '.join(sorted(DTYPES))}.")
-    axes: list[Any] = list(shape) if isinstance(shape, list) else [None]
-    if len(axes) > MOST_AXES or not all(type(n) is int and 0 <= n < 1 << 40 for n in axes):
-        raise BadMessage(f"An array has the shape {shape!r:.80}; valid are up to {MOST_AXES} whole numbers from 0.")
     try:
         data = base64.b64decode(found["__numpy__"], validate=True)
     except (binascii.Error, TypeError, ValueError) as error:
         raise BadMessage(f"An array is no base64: {error}.") from error
-    if len(data) != math.prod(axes) * np.dtype(dtype).itemsize:
-        raise BadMessage(f"An array of shape {shape} has {len(data)} bytes of {dtype}.")
-    return np.frombuffer(bytearray(data), np.dtype(dtype)).reshape(axes)
+    return array_of(bytearray(data), found.get("dtype"), found.get("shape"))

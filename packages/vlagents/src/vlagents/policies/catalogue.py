@@ -1,4 +1,4 @@
-"""Policies by name, as `vlagents serve` makes them."""
+"""Policies by name, as `vlagents serve` makes them, and recipes of their environments."""
 
 from __future__ import annotations
 
@@ -18,22 +18,26 @@ from vlagents.errors import InvalidInput
 from vlagents.policies.settings import Settings
 from vlagents.policy import Policy
 
+ENDING = ".recipe.sh"
 GROUP = "vlagents.policies"
 """Entry points of packages that add a policy: a function of the checkpoint."""
 
 BUILT_IN: dict[str, str] = {
-    "act": "vlagents.policies.lerobot:act",
-    "diffusion": "vlagents.policies.lerobot:diffusion",
+    "act": "vlagents.policies.lerobot:LerobotPolicy",
+    "diffusion": "vlagents.policies.lerobot:LerobotPolicy",
     "lerobot": "vlagents.policies.lerobot:LerobotPolicy",
     "octo": "vlagents.policies.octo:OctoPolicy",
     "openpi": "vlagents.policies.openpi:OpenpiPolicy",
     "openvla": "vlagents.policies.openvla:OpenvlaPolicy",
-    "random": "vlagents.policies.catalogue:random_policy",
+    "random": "vlagents.policies.random:RandomPolicy",
     "replay": "vlagents.policies.replay:ReplayPolicy",
     "scripted": "vlagents.policies.scripted:ScriptedPolicy.load",
-    "smolvla": "vlagents.policies.lerobot:smolvla",
+    "smolvla": "vlagents.policies.lerobot:LerobotPolicy",
     "vjepa2_ac": "vlagents.policies.vjepa2_ac:Vjepa2AcPolicy",
 }
+"""Class of each policy of this package."""
+FAMILIES = ("act", "diffusion", "smolvla")
+"""Policies of LeRobot's class, which gets their name as its `family`."""
 
 
 def names() -> list[str]:
@@ -47,26 +51,27 @@ def load(
     """Return a policy.
 
     Args:
-        name: One of `names()`, or `module:Class`, which is looked for in the current folder, too.
-        checkpoint: Folder, file, or whatever else the policy is made of.
-        settings: A file that says how its inputs are called; empty for `vlagents.json` in the checkpoint's folder.
-        options: More arguments by name, as JSON, or as text where they are none or are annotated `str`.
+        name: One of `names()`, or `module:Class`, which may be in the current folder.
+        checkpoint: Folder, file, or another first argument of the policy.
+        settings: File with `Settings`; empty for `vlagents.json` in the checkpoint's folder.
+        options: More arguments by name, as JSON, or as text where they are no JSON or are annotated `str`.
 
     Raises:
-        InvalidInput: There is no such policy, or it cannot be made of that.
-        MissingStack: What it stands on is not installed.
+        InvalidInput: There is no such policy, or an argument is wrong.
+        MissingStack: A package that it needs is not installed.
     """
-    options = options or {}
+    options = dict(options or {})
     if ":" in name:
-        return _made(name, _own(name), [checkpoint] if checkpoint else [], settings, options)
-    if name in BUILT_IN:
-        return _made(name, _found(BUILT_IN[name]), [checkpoint], settings, options)
-    for point in entry_points(group=GROUP):
-        if point.name == name:
-            return _made(name, point.load(), [checkpoint], settings, options)
-    near = difflib.get_close_matches(name, names(), 1)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
-    raise InvalidInput(f"There is no policy {name!r}; there are {', '.join(names())}, and module:Class.{hint}")
+        make = _own(name)
+    elif name in BUILT_IN:
+        make = _found(BUILT_IN[name])
+        options |= {"family": name} if name in FAMILIES else {}
+    else:
+        points = {point.name: point for point in entry_points(group=GROUP)}
+        if name not in points:
+            raise InvalidInput(f"There is no policy {name!r}; there are {_near(name, names())}")
+        make = points[name].load()
+    return _made(name, make, [checkpoint] if checkpoint else [], settings, options)
 
 
 def hash_of(path: str | Path) -> str:
@@ -81,6 +86,26 @@ def hash_of(path: str | Path) -> str:
     return digest.hexdigest()
 
 
+def recipes() -> list[str]:
+    """Return the families that have a recipe: a shell script that makes their environment."""
+    return sorted(path.name[: -len(ENDING)] for path in Path(__file__).parent.glob(f"*{ENDING}"))
+
+
+def recipe(family: str) -> str:
+    """Return a family's recipe.
+
+    It is run as `vlagents recipe NAME | sh -s -- FOLDER`. It has names and versions, no addresses: a package that is on
+    no index is a checkout on this machine, whose folder a variable names.
+
+    Raises:
+        InvalidInput: There is none.
+    """
+    family = "lerobot" if family in FAMILIES else family
+    if family not in recipes():
+        raise InvalidInput(f"There is no recipe {family!r}; there are {_near(family, sorted([*recipes(), *FAMILIES]))}")
+    return (Path(__file__).parent / f"{family}{ENDING}").read_text(encoding="utf-8")
+
+
 def _found(place: str) -> Callable[..., Policy]:
     module, _, path = place.partition(":")
     found = importlib.import_module(module)
@@ -90,7 +115,7 @@ def _found(place: str) -> Callable[..., Policy]:
 
 
 def _own(name: str) -> Callable[..., Policy]:
-    """Return what is called `module:Class`."""
+    """Return the class of `module:Class`."""
     if os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())
     try:
@@ -130,14 +155,6 @@ def _value(text: str, annotation: object) -> Any:
         return text
 
 
-def random_policy(checkpoint: str) -> Policy:
-    """Return a policy by chance, of as many numbers as the checkpoint says.
-
-    Raises:
-        InvalidInput: It says no number.
-    """
-    from vlagents.policies.random import RandomPolicy
-
-    if checkpoint and not checkpoint.isdecimal():
-        raise InvalidInput(f"checkpoint is {checkpoint!r}; of 'random' it is the number of values of an action.")
-    return RandomPolicy(size=int(checkpoint or 7))
+def _near(name: str, valid: list[str]) -> str:
+    near = difflib.get_close_matches(name, valid, 1)
+    return f"{', '.join(valid)}." + (f" Did you mean {near[0]!r}?" if near else "")

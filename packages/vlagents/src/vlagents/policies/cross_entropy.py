@@ -6,36 +6,41 @@ distribution over motions of the hand, whose mean and deviation move towards the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from vlagents.errors import InvalidInput
+from vlagents.record import check
 
 LARGEST_GRIP = 0.75
-"""Most that the gripper closes or opens in a step, of its whole way."""
+"""Most that the gripper closes or opens in a step, as a share of its range."""
 SMALLEST_GRIP = 0.25
-"""Less than that of the whole way is noise of the search, and becomes 0."""
+"""Smaller shares of its range are noise of the search, and become 0."""
 FREE = 4
-"""Numbers that are searched for: translation and gripper. Rotation stays, as in V-JEPA 2's experiments."""
+"""Numbers that are searched for: translation and gripper. Rotation is kept, as in V-JEPA 2's experiments."""
+
+
+Rounds = Annotated[int, Meta(ge=1, le=100_000)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Search:
-    """How much is drawn, and how far."""
+    """The size of the search."""
 
-    horizon: int = 2
+    horizon: Rounds = 2
     """Steps that are planned ahead."""
-    samples: int = 400
+    samples: Rounds = 400
     """Motions that are drawn in each round. More find better plans, at proportional time and memory."""
-    best: int = 10
+    best: Annotated[int, Meta(ge=2)] = 10
     """Motions that are kept of them."""
-    rounds: int = 10
-    """How often."""
-    inertia: float = 0.15
-    """Part of the mean and deviation that stays from round to round; higher converges later."""
-    reach: float = 0.05
+    rounds: Rounds = 10
+    """Number of rounds."""
+    inertia: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.15
+    """Share of the mean and deviation that stays from round to round; higher converges later."""
+    reach: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.05
     """Most that the hand moves in a step along each axis [m]."""
 
     def __post_init__(self) -> None:
@@ -44,16 +49,9 @@ class Search:
         Raises:
             InvalidInput: One is wrong.
         """
-        for name in ("horizon", "samples", "best", "rounds"):
-            value = getattr(self, name)
-            if type(value) is not int or not 1 <= value <= 100_000:
-                raise InvalidInput(f"{name} of the search is {value!r}; valid is a whole number from 1.")
-        if not 2 <= self.best <= self.samples:
-            raise InvalidInput(f"best of the search is {self.best}; valid is 2 to its {self.samples} samples.")
-        if not (isinstance(self.inertia, (int, float)) and 0 <= self.inertia < 1):
-            raise InvalidInput(f"inertia of the search is {self.inertia!r}; valid is a number from 0, below 1.")
-        if not (isinstance(self.reach, (int, float)) and math.isfinite(self.reach) and self.reach > 0):
-            raise InvalidInput(f"reach of the search is {self.reach!r}; valid is a number of metres above 0.")
+        check(self)
+        if self.best > self.samples:
+            raise InvalidInput(f"best of Search is {self.best}; valid is 2 to its {self.samples} samples.")
 
 
 def plan(torch: Any, imagine: Callable[[Any], Any], search: Search, generator: Any, device: Any) -> Any:
@@ -61,9 +59,9 @@ def plan(torch: Any, imagine: Callable[[Any], Any], search: Search, generator: A
 
     Args:
         torch: The module.
-        imagine: Takes motions (samples, horizon, 4), returns how far from the goal each ends, (samples,).
-        search: How much is drawn, and how far.
-        generator: Of random numbers, on the CPU, so that a seed means the same on all devices.
+        imagine: A function of motions, (samples, horizon, 4), that returns how far from the goal each ends, (samples,).
+        search: The size of the search.
+        generator: Random numbers, on the CPU, so that a seed means the same on all devices.
         device: Where `imagine` works.
     """
     limit = torch.tensor([search.reach] * 3 + [LARGEST_GRIP], device=device)

@@ -1,7 +1,7 @@
 """Checkpoints of LeRobot (huggingface/lerobot): ACT, Diffusion Policy, SmolVLA, VQ-BeT and others alike.
 
-A checkpoint is the folder `pretrained_model` that LeRobot's trainer writes, or a run's folder, of which the last one is
-taken. It says how many numbers and which pictures the model takes, and not what they are: that is in `vlagents.json`.
+A checkpoint is the folder `pretrained_model` that LeRobot's trainer writes, or a run's folder, whose last checkpoint is
+used. It has the shapes of the model's inputs, but not their meaning, which is in `vlagents.json`.
 """
 
 from __future__ import annotations
@@ -19,37 +19,36 @@ from vlagents.metadata import ImageSpec, Metadata, PartSpec
 from vlagents.observation import Observation
 from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
-from vlagents.policies.sessions import Sessions, told
+from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import Settings, check_parts
 from vlagents.policies.torch_stack import device, import_stack
-from vlagents.policy import Policy
 
 STATE, ACTION, IMAGES = "observation.state", "action", "observation.images."
-"""How LeRobot calls what goes in and out."""
-TOLD = ("smolvla", "pi0", "pi05", "pi0_fast", "xvla", "groot", "wall_x")
-"""Types that are told in words what to do."""
+"""LeRobot's names of inputs and outputs."""
+INSTRUCTED = ("smolvla", "pi0", "pi05", "pi0_fast", "xvla", "groot", "wall_x")
+"""Types that need an instruction in words."""
 
 
 @dataclass
 class Memory:
-    """What a session remembers."""
+    """The memory of a session."""
 
     seed: int
-    """Of what is drawn by chance."""
+    """Seed of the model's random numbers."""
     answers: int = 0
-    """How many there were since the reset."""
+    """Number of answers since the reset."""
     queues: Any = None
     """The model's own queues of observations; None for empty ones."""
     time: float = 0.0
-    """Of the last observation [s]."""
+    """Time of the last observation [s]."""
 
 
-class LerobotPolicy(Policy):
+class LerobotPolicy(SessionPolicy[Memory]):
     """Answers an observation with a chunk, in the units of the data that the model has learned from.
 
     ACT and SmolVLA answer with all rows that they predict. Diffusion Policy and VQ-BeT read their last observations and
-    answer with `n_action_steps` rows. They have learned from observations one step apart: where one comes after a
-    longer time, as it does when chunks are executed to their end, they begin anew with this one.
+    answer with `n_action_steps` rows. They have learned from observations one step apart: after a longer time, as when
+    chunks are executed to their end, they start again from the new observation.
     """
 
     def __init__(self, checkpoint: str, settings: Settings | None = None, *, family: str = "") -> None:
@@ -57,7 +56,7 @@ class LerobotPolicy(Policy):
 
         Args:
             checkpoint: Folder of a checkpoint, or of a run.
-            settings: `images` (camera by picture, without `observation.images.`), `state`, `action`, `rate`, `device`.
+            settings: `images` (camera by image, without `observation.images.`), `state`, `action`, `rate`, `device`.
             family: The type that it must have, such as `act`; empty for any.
 
         Raises:
@@ -67,15 +66,14 @@ class LerobotPolicy(Policy):
         folder = find(checkpoint)
         settings = settings or Settings.read(folder)
         settings.check_options(())
-        self._torch, lerobot, factory, configs = import_stack(
-            "lerobot", "lerobot", "lerobot.policies.factory", "lerobot.configs.policies"
-        )
+        packages = ("lerobot.policies.factory", "lerobot.configs.policies")
+        self._torch, factory, configs = import_stack("lerobot", *packages)
         config = configs.PreTrainedConfig.from_pretrained(folder)
         if family and config.type != family:
             raise InvalidInput(f"{folder} is a checkpoint of {config.type!r}; serve it as that, or as 'lerobot'.")
         self._device = device(self._torch, settings.device)
         config.device = str(self._device)
-        # The checkpoint has all weights, so none are asked for elsewhere.
+        # The checkpoint has all weights, so none are downloaded.
         for name, value in (("pretrained_backbone_weights", None), ("load_vlm_weights", False)):
             if hasattr(config, name):
                 setattr(config, name, value)
@@ -93,28 +91,18 @@ class LerobotPolicy(Policy):
             key: settings.camera(key.removeprefix(IMAGES)) for key in config.input_features if key.startswith(IMAGES)
         }
         settings.check_images([key.removeprefix(IMAGES) for key in self._cameras])
-        self._metadata = self._describe(config, folder, settings, f"lerobot {lerobot.__version__}")
-        self._sessions = Sessions(lambda seed: Memory(secrets.randbits(31) if seed is None else seed))
-
-    def metadata(self) -> Metadata:
-        """Return what the checkpoint needs and gives."""
-        return self._metadata
-
-    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Forget a session's observations; the seed is of what a model draws by chance."""
-        self._sessions.reset(session, instruction, seed)
+        super().__init__(self._describe(config, folder, settings))
 
     def infer(self, observation: Observation) -> Chunk:
         """Return the next actions.
 
         Raises:
-            InvalidInput: A picture, a part of the state or the instruction is missing, or has another size.
+            InvalidInput: An image, a part of the state or the instruction is missing, or has another size.
         """
-        session = self._sessions.of(observation)
         shown = self._shown(observation)
-        shown["task"] = told(observation, session, self._metadata.name) if self._metadata.needs_instruction else ""
+        shown["task"] = self._instruction(observation) if self._metadata.needs_instruction else ""
         period = 1.0 / self._metadata.rate if self._metadata.rate else 1.0
-        memory = session.memory
+        memory = self._session(observation).memory
         with self._torch.random.fork_rng(), self._torch.inference_mode():
             self._torch.manual_seed((memory.seed + memory.answers) % 2**63)
             rows = self._rows(self._before(shown), memory, observation.time, period)
@@ -123,9 +111,8 @@ class LerobotPolicy(Policy):
         memory.time = observation.time
         return Chunk(actions, period, observation.time)
 
-    def forget(self, session: str) -> None:
-        """Let go of a session."""
-        self._sessions.forget(session)
+    def _begin(self, seed: int | None) -> Memory:
+        return Memory(secrets.randbits(31) if seed is None else seed)
 
     def _rows(self, batch: Any, memory: Memory, time: float, period: float) -> Any:
         """Return the rows of a chunk as the model scales them, (rows, size)."""
@@ -153,12 +140,12 @@ class LerobotPolicy(Policy):
             found[STATE] = self._torch.from_numpy(values).float()[None]
         return found
 
-    def _describe(self, config: Any, folder: Path, settings: Settings, version: str) -> Metadata:
+    def _describe(self, config: Any, folder: Path, settings: Settings) -> Metadata:
         action = config.output_features[ACTION].shape[0]
         state = config.input_features[STATE].shape[0] if STATE in config.input_features else 0
         other = sorted(set(config.input_features) - set(self._cameras) - {STATE})
         if other:
-            raise InvalidInput(f"{folder} needs {', '.join(other)}, which no robot here shows.")
+            raise InvalidInput(f"{folder} needs {', '.join(other)}, which robots here do not observe.")
         parts = {
             "state": settings.state or ((PartSpec("state", state),) if state else ()),
             "action": settings.action or (PartSpec("action", action),),
@@ -174,17 +161,16 @@ class LerobotPolicy(Policy):
             action=parts["action"],
             state=parts["state"],
             images=tuple(images),
-            needs_instruction=config.type in TOLD,
+            needs_instruction=config.type in INSTRUCTED,
             horizon=int(queues[ACTION].maxlen if self._is_remembering else config.chunk_size),
             rate=settings.rate,
             checkpoint=str(folder),
             checkpoint_hash=hash_of(folder),
-            version=version,
         )
 
 
 def find(checkpoint: str) -> Path:
-    """Return the folder with `config.json`: the one that is given, or a run's last.
+    """Return the folder with `config.json`: a checkpoint, or the last one of a run.
 
     Raises:
         InvalidInput: There is none.
@@ -197,18 +183,3 @@ def find(checkpoint: str) -> Path:
         f"checkpoint is {checkpoint!r}; valid is a folder of LeRobot with config.json, or the folder of a run with "
         "checkpoints/last."
     )
-
-
-def act(checkpoint: str, settings: Settings | None = None) -> LerobotPolicy:
-    """Return an ACT."""
-    return LerobotPolicy(checkpoint, settings, family="act")
-
-
-def diffusion(checkpoint: str, settings: Settings | None = None) -> LerobotPolicy:
-    """Return a Diffusion Policy."""
-    return LerobotPolicy(checkpoint, settings, family="diffusion")
-
-
-def smolvla(checkpoint: str, settings: Settings | None = None) -> LerobotPolicy:
-    """Return a SmolVLA."""
-    return LerobotPolicy(checkpoint, settings, family="smolvla")

@@ -1,9 +1,8 @@
-"""Octo (octo-models/octo): a transformer with a diffusion head, in JAX, told by words or by a picture of the goal.
+"""Octo (octo-models/octo): a transformer with a diffusion head, in JAX; its task is words or an image of the goal.
 
-A checkpoint is what `OctoModel.save_pretrained` writes. Its example batch says which pictures, of which size, and how
-many moments the model sees at once; its statistics say how actions are scaled. A session keeps the last moments that
-it was asked about. In training they were one step apart, so ask in every step for what the model has learned; after
-steps without asking, the last moment is older.
+A checkpoint is what `OctoModel.save_pretrained` writes. Its example batch has the images, their sizes, and the
+number of moments that the model sees at once; its statistics scale the actions. A session keeps the last moments that
+were observed. In training they were one step apart, so call the policy in every step.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ from __future__ import annotations
 import importlib
 from collections import deque
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -24,24 +22,23 @@ from vlagents.metadata import ImageSpec, Metadata
 from vlagents.observation import Observation
 from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
-from vlagents.policies.sessions import Sessions, told
+from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import DELTA_POSE, Settings, check_parts, chosen
-from vlagents.policy import Policy
 
 USUAL_RATE = 5.0
-"""Of BridgeData V2 [Hz], on whose robot Octo was evaluated most. What a model has learned from is what matters."""
+"""Rate of BridgeData V2 [Hz], on whose robot Octo was evaluated most; settings give that of other data."""
 PICTURE, PROPRIO = "image_", "proprio"
 
 
 @dataclass
 class _Memory:
-    """What a session remembers: moments as the model takes them, and the key of what it draws."""
+    """The memory of a session: moments as the model takes them, and the key of its random numbers."""
 
     moments: deque[dict[str, NDArray[Any]]]
     key: Any
 
 
-class OctoPolicy(Policy):
+class OctoPolicy(SessionPolicy[_Memory]):
     """Answers with samples of an Octo model, in the units of the dataset whose statistics hold."""
 
     def __init__(self, checkpoint: str, settings: Settings | None = None) -> None:
@@ -53,7 +50,7 @@ class OctoPolicy(Policy):
 
         Raises:
             MissingStack: Octo or JAX is not installed.
-            InvalidInput: The settings do not fit the model, or the folder is none of a model.
+            InvalidInput: The settings do not fit the model, or the folder has no model.
         """
         settings = settings or Settings.read(checkpoint)
         settings.check_options(())
@@ -61,30 +58,28 @@ class OctoPolicy(Policy):
         is_remote = checkpoint.startswith("hf://")
         if not is_remote and not (Path(checkpoint) / "config.json").is_file():
             raise InvalidInput(f"checkpoint is {checkpoint!r}; valid is a folder that OctoModel.save_pretrained wrote.")
-        # Orbax wants a path from the root.
+        # Orbax needs an absolute path.
         self._model = model.load_pretrained(checkpoint if is_remote else str(Path(checkpoint).resolve()))
         example = self._model.example_batch["observation"]
         self._window: int = example["timestep_pad_mask"].shape[1]
         self._pictures = {name: tuple(example[name].shape[2:4]) for name in example if name.startswith(PICTURE)}
         self._settings = settings
         settings.check_images(list(self._pictures))
-        self._dataset, self._statistics = _statistics(self._model.dataset_statistics, settings.dataset)
+        self._statistics = _statistics(self._model.dataset_statistics, settings.dataset)
         self._proprio = example[PROPRIO].shape[-1] if PROPRIO in example else 0
         if self._proprio:
             check_parts("state", settings.state, self._proprio)
         elif settings.state:
             raise InvalidInput("The settings have a state, and this model was trained without proprioception.")
-        self._metadata = self._describe(checkpoint, is_remote)
-        self._sessions = Sessions(
-            lambda seed: _Memory(
-                deque(maxlen=self._window),
-                self._jax.random.PRNGKey(np.random.default_rng(seed).integers(2**31) if seed is None else seed),
-            )
-        )
+        super().__init__(self._describe(checkpoint, is_remote))
         self._warm_up()
 
+    def _begin(self, seed: int | None) -> _Memory:
+        drawn = np.random.default_rng(seed).integers(2**31) if seed is None else seed
+        return _Memory(deque(maxlen=self._window), self._jax.random.PRNGKey(drawn))
+
     def _warm_up(self) -> None:
-        """Ask once, so that the model is compiled before a robot waits for it."""
+        """Call the policy once, so that the model is compiled before a robot waits for it."""
         images = {self._settings.camera(name): np.zeros((*size, 3), np.uint8) for name, size in self._pictures.items()}
         state = {part.name: np.zeros(part.size) for part in self._settings.state}
         self.infer(Observation(images=images, state=state, instruction="wait", session="warm-up"))
@@ -99,32 +94,20 @@ class OctoPolicy(Policy):
             action=action,
             images=tuple(ImageSpec(self._settings.camera(name), *size) for name, size in self._pictures.items()),
             state=self._settings.state,
-            needs_instruction=False,
             horizon=int(head.get("action_horizon", 1)),
             rate=self._settings.rate or USUAL_RATE,
             checkpoint=checkpoint,
             checkpoint_hash="" if is_remote else hash_of(checkpoint),
-            version=_version("octo"),
-            extra={"window": self._window, "statistics": self._dataset, "goals": "pictures or words"},
         )
-
-    def metadata(self) -> Metadata:
-        """Return what the checkpoint needs and gives."""
-        return self._metadata
-
-    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Forget the session's moments."""
-        self._sessions.reset(session, instruction, seed)
 
     def infer(self, observation: Observation) -> Chunk:
         """Return a sample.
 
         Raises:
-            InvalidInput: A picture or a part of the state is missing, or neither words nor a goal say what to do.
+            InvalidInput: An image or a part of the state is missing, or there is neither an instruction nor a goal.
         """
-        session = self._sessions.of(observation)
-        task = self._task(observation, session)
-        memory = session.memory
+        task = self._task(observation)
+        memory = self._session(observation).memory
         memory.moments.append(self._moment(observation))
         moments = list(memory.moments)
         missing = self._window - len(moments)
@@ -142,10 +125,6 @@ class OctoPolicy(Policy):
         actions = self._model.sample_actions(shown, task, unnormalization_statistics=mean_and_scale, rng=key)
         return Chunk(np.asarray(actions[0], np.float64), 1.0 / self._metadata.rate, observation.time)
 
-    def forget(self, session: str) -> None:
-        """Let go of a session."""
-        self._sessions.forget(session)
-
     def _moment(self, observation: Observation) -> dict[str, NDArray[Any]]:
         moment: dict[str, NDArray[Any]] = {
             name: np.array(inputs.picture(observation, self._settings.camera(name), *size))
@@ -158,20 +137,20 @@ class OctoPolicy(Policy):
             moment[PROPRIO] = np.where(scale.get("mask", True), normal, values).astype(np.float32)
         return moment
 
-    def _task(self, observation: Observation, session: Any) -> Any:
-        """Return the task as the model takes it: pictures of the goal where there are any, words otherwise, or both."""
+    def _task(self, observation: Observation) -> Any:
+        """Return the task as the model takes it: images of the goal where there are any, words otherwise, or both."""
         goals = {}
         for name, size in self._pictures.items():
             image = inputs.goal(observation, self._settings.camera(name), *size)
             if image is not None:
                 goals[name] = np.array(image)[None]
-        words = observation.instruction or session.instruction
         if not goals:
-            return self._model.create_tasks(texts=[told(observation, session, "Octo")])
+            return self._model.create_tasks(texts=[self._instruction(observation)])
+        words = observation.instruction or self._session(observation).instruction
         known = [name for name in self._pictures if name in self._model.example_batch["task"]]
         if missing := sorted(set(known) - set(goals)):
             cameras = [self._settings.camera(name) for name in missing]
-            raise InvalidInput(f"The goal has no pictures of {cameras}; this model needs one of each of its cameras.")
+            raise InvalidInput(f"The goal has no images of {cameras}; this model needs one of each of its cameras.")
         return self._model.create_tasks(goals=goals, texts=[words] if words else None)
 
 
@@ -183,18 +162,8 @@ def _stack() -> tuple[Any, Any]:
         raise MissingStack("octo", error.name or "octo.model") from error
 
 
-def _statistics(known: Any, dataset: str) -> tuple[str, dict[str, Any]]:
-    """Return whose statistics hold, and them; a model that was fine-tuned on one dataset has no names."""
+def _statistics(known: Any, dataset: str) -> dict[str, Any]:
+    """Return a dataset's statistics; those of a model that was fine-tuned on one dataset have no name."""
     if not known:
         raise InvalidInput("The checkpoint has no statistics, so its actions cannot be brought to physical units.")
-    if "action" in known:
-        return dataset or "the checkpoint's own", known
-    name = chosen(dataset, list(known))
-    return name, known[name]
-
-
-def _version(package: str) -> str:
-    try:
-        return f"{package} {version(package)}"
-    except PackageNotFoundError:
-        return package
+    return known if "action" in known else known[chosen(dataset, list(known))]

@@ -1,8 +1,8 @@
 """openpi's pi0, pi0-FAST and pi0.5 (Physical-Intelligence/openpi): in this process, or behind openpi's own server.
 
 The checkpoint is a folder that openpi's training wrote, with the option `config`, or the address `ws://host:port` of a
-stock openpi server, which needs no stack here. Either way, observations and actions have openpi's keys and conventions
-on that side, and names and units of the robot on ours. A layout says how one becomes the other.
+stock openpi server, which needs no other packages here. Observations and actions have openpi's keys and conventions on
+that side, and names and units of the robot on ours. A layout converts between the two.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,32 +24,31 @@ from vlagents.metadata import ImageSpec, Metadata, PartSpec
 from vlagents.observation import Observation
 from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
-from vlagents.policies.sessions import Sessions, told
+from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import Settings, check_parts
-from vlagents.policy import Policy
 
 SIZE = 224
-"""Height and width of the models' pictures [pixels]. openpi puts black around what is not square, as `Resized` does."""
+"""Height and width of the models' images [pixels]. openpi pads other shapes with black, as `Resized` does."""
 DROID_STEP = 0.2
 """How far a joint goes in 1/15 s at a velocity of 1 in DROID's units [rad]: its solver's `max_joint_delta`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """How openpi's keys are filled, and what its actions mean."""
+    """A conversion between openpi's keys and a robot's parts."""
 
     images: tuple[str, ...]
-    """openpi's keys of pictures, which are also how `Settings.images` calls them."""
+    """openpi's keys of images, which are also the keys of `Settings.images`."""
     state: tuple[PartSpec, ...]
     """Parts of the robot's state that are needed."""
     action: tuple[PartSpec, ...]
     """Parts of an action."""
     rate: float
-    """Of the data [Hz]; 0 where it is to be said in the settings."""
+    """Rate of the data [Hz]."""
     to_state: Callable[[NDArray[np.float64]], dict[str, NDArray[Any]]]
-    """Makes openpi's state of the parts side by side."""
+    """Returns openpi's state for the parts side by side."""
     to_actions: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    """Makes actions in the robot's units of openpi's."""
+    """Returns actions in the robot's units for openpi's."""
 
 
 def _droid_state(values: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
@@ -74,7 +73,7 @@ DROID = Layout(
     to_state=_droid_state,
     to_actions=_droid_actions,
 )
-"""Of the checkpoints pi0_droid, pi0_fast_droid and pi05_droid, which give joint velocities."""
+"""Layout of the checkpoints pi0_droid, pi0_fast_droid and pi05_droid, which give joint velocities."""
 
 LIBERO = Layout(
     images=("observation/image", "observation/wrist_image"),
@@ -87,21 +86,21 @@ LIBERO = Layout(
     to_state=lambda values: {"observation/state": values.astype(np.float32)},
     to_actions=lambda actions: actions,
 )
-"""Of the checkpoints pi0_libero, pi0_fast_libero and pi05_libero. Actions stay as LIBERO's controller takes them."""
+"""Layout of the checkpoints pi0_libero, pi0_fast_libero and pi05_libero. Actions are those of LIBERO's controller."""
 
 
 def own_layout(settings: Settings) -> Layout:
     """Return the layout of a model that was fine-tuned on a dataset of one's own.
 
-    Pictures are `observation/<camera>`, the state is `observation/state`, actions are as they were recorded.
+    Images are `observation/<camera>`, the state is `observation/state`, actions are as they were recorded.
 
     Raises:
-        InvalidInput: The settings leave out what only they can say.
+        InvalidInput: The settings lack images, state, action or rate.
     """
     if not (settings.images and settings.state and settings.action and settings.rate):
         raise InvalidInput(
-            "Of a model that was fine-tuned on data of one's own, the settings name images, state, action and rate; "
-            "`layout` in their options is 'droid' or 'libero' for the published ones."
+            "For a model that was fine-tuned on other data, the settings must have images, state, action and rate; for "
+            "a published one, `layout` in their options is 'droid' or 'libero'."
         )
     return Layout(
         images=tuple(settings.images),
@@ -113,7 +112,7 @@ def own_layout(settings: Settings) -> Layout:
     )
 
 
-class OpenpiPolicy(Policy):
+class OpenpiPolicy(SessionPolicy[None]):
     """Answers with chunks of an openpi model."""
 
     def __init__(self, checkpoint: str, settings: Settings | None = None) -> None:
@@ -129,7 +128,7 @@ class OpenpiPolicy(Policy):
         Raises:
             MissingStack: openpi is not installed.
             InvalidInput: The settings do not fit.
-            ConnectionLost: Nobody is at the address.
+            ConnectionLost: No server is at the address.
         """
         settings = settings or Settings.read(checkpoint)
         settings.check_options(("layout", "config", "timeout"))
@@ -142,53 +141,47 @@ class OpenpiPolicy(Policy):
         if name in layouts:
             settings.check_images(list(self._layout.images))
             if settings.state or settings.action:
-                raise InvalidInput(f"The layout {name!r} says what state and actions are; the settings do not.")
+                raise InvalidInput(f"The layout {name!r} has its own state and actions; the settings must not.")
         is_address = checkpoint.startswith(("ws://", "wss://"))
-        self._inside: _Inside = (
+        self._inside: _Model | _Server = (
             _Server(checkpoint, settings.option("timeout", 30.0)) if is_address else _Model(checkpoint, settings)
         )
-        self._sessions = Sessions(lambda _: None)
         self._rate = self._layout.rate if name in layouts else settings.rate
-        self._metadata = Metadata(
+        metadata = Metadata(
             name="openpi",
             action=self._layout.action,
             images=tuple(ImageSpec(settings.camera(key), SIZE, SIZE) for key in self._layout.images),
             state=self._layout.state,
             needs_instruction=True,
-            horizon=self._warm_up(),
             rate=self._rate,
             checkpoint=checkpoint,
             checkpoint_hash="" if is_address else hash_of(checkpoint),
-            version=self._inside.version,
-            extra=self._inside.told,
         )
+        super().__init__(metadata)
+        self._metadata = replace(metadata, horizon=self._warm_up())
 
     def _warm_up(self) -> int:
-        """Ask once, so that the model is compiled and it is known how many actions come; return that."""
+        """Call the policy once, so that the model is compiled; return the number of actions."""
         black = {self._settings.camera(key): np.zeros((SIZE, SIZE, 3), np.uint8) for key in self._layout.images}
         state = {part.name: np.zeros(part.size) for part in self._layout.state}
         chunk = self.infer(Observation(images=black, state=state, instruction="wait", session="warm-up"))
         self.forget("warm-up")
         return chunk.horizon
 
-    def metadata(self) -> Metadata:
-        """Return what the model needs and gives."""
-        return self._metadata
-
     def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Remember what is to be done. openpi draws from one stream for all, so a seed has no effect."""
-        self._sessions.reset(session, instruction)
+        """Begin an episode. openpi draws from one stream for all sessions, so a seed has no effect."""
+        super().reset(session, instruction)
         self._inside.reset()
 
     def infer(self, observation: Observation) -> Chunk:
         """Return a chunk.
 
         Raises:
-            InvalidInput: A picture or a part of the state is missing, or there is no instruction.
-            ConnectionLost: The server has gone; `reset` connects anew.
+            InvalidInput: An image or a part of the state is missing, or there is no instruction.
+            ConnectionLost: The server has gone; `reset` connects again.
             DeadlineExceeded: It did not answer in time.
         """
-        instruction = told(observation, self._sessions.of(observation), "openpi")
+        instruction = self._instruction(observation)
         flat: dict[str, Any] = {
             key: np.array(inputs.picture(observation, self._settings.camera(key), SIZE, SIZE))
             for key in self._layout.images
@@ -198,73 +191,57 @@ class OpenpiPolicy(Policy):
         check_parts("action", self._layout.action, actions.shape[-1])
         return Chunk(self._layout.to_actions(actions), 1.0 / self._rate, observation.time)
 
-    def forget(self, session: str) -> None:
-        """Let go of a session."""
-        self._sessions.forget(session)
-
     def close(self) -> None:
         """End the connection to a server."""
         self._inside.close()
 
 
-class _Inside:
-    """What answers with openpi's keys."""
-
-    version = ""
-    told: Mapping[str, Any] = {}
-
-    def ask(self, flat: dict[str, Any], instruction: str) -> NDArray[np.float64]:
-        """Return actions (horizon, size), as openpi gives them."""
-        raise NotImplementedError
-
-    def reset(self) -> None:
-        """Begin an episode."""
-
-    def close(self) -> None:
-        """Let go of everything."""
-
-
-class _Model(_Inside):
+class _Model:
     """A model in this process."""
 
     def __init__(self, checkpoint: str, settings: Settings) -> None:
         config = settings.option("config", "")
         if not config:
-            raise InvalidInput("The option 'config' is missing: with which config of openpi was the model trained?")
+            raise InvalidInput(
+                "The option 'config' is missing; give the name of the openpi config that trained the model."
+            )
         try:
             policies = importlib.import_module("openpi.policies.policy_config")
             configs = importlib.import_module("openpi.training.config")
         except ImportError as error:  # the index's openpi 0.0.0 is a placeholder
             raise MissingStack("openpi", error.name or "openpi") from error
         made = _config_of(config, Path(checkpoint)) if config.endswith(".py") else configs.get_config(config)
-        # openpi joins paths to it.
+        # openpi joins paths to it, so it must be absolute.
         self._policy = policies.create_trained_policy(made, Path(checkpoint).resolve())
-        self.version = f"openpi, config {config}"
-        self.told = dict(self._policy.metadata)
 
     def ask(self, flat: dict[str, Any], instruction: str) -> NDArray[np.float64]:
-        """Ask the model."""
+        """Return actions (horizon, size), as openpi gives them."""
         return np.asarray(self._policy.infer({**flat, "prompt": instruction})["actions"], np.float64)
 
+    def reset(self) -> None:
+        """Do nothing; the model remembers nothing."""
 
-class _Server(_Inside):
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class _Server:
     """A stock openpi server."""
 
     def __init__(self, address: str, timeout: float) -> None:
         from vlagents.websocket import WebsocketClient
 
-        # Its actions are read as they come; what time they are for is the layout's matter.
+        # The layout has the actions' real period.
         self._client = WebsocketClient(address, timeout=timeout, period=1.0)
-        self.told = dict(self._client.metadata().extra)
 
     def ask(self, flat: dict[str, Any], instruction: str) -> NDArray[np.float64]:
-        """Ask the server."""
+        """Return actions (horizon, size), as openpi gives them."""
         images = {key: value for key, value in flat.items() if value.ndim == 3}
         state = {key: value for key, value in flat.items() if value.ndim == 1}
         return self._client.infer(Observation(images=images, state=state, instruction=instruction)).actions
 
     def reset(self) -> None:
-        """Connect anew if the server was gone."""
+        """Connect again if the server was gone."""
         self._client.reset()
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""OpenVLA (openvla/openvla): a language model that reads a picture and an instruction and writes one action in tokens.
+"""OpenVLA (openvla/openvla): a language model that reads an image and an instruction and writes one action in tokens.
 
 A checkpoint is a folder as Transformers saves it, with `dataset_statistics.json` if it was fine-tuned. It has Python
 files of its own, which run when it is loaded: serve only checkpoints that you trust.
@@ -20,27 +20,26 @@ from vlagents.metadata import ImageSpec, Metadata
 from vlagents.observation import Observation
 from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
-from vlagents.policies.sessions import Sessions, told
+from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import DELTA_POSE, Settings, check_parts, chosen
 from vlagents.policies.torch_stack import device, import_stack, precision
-from vlagents.policy import Policy
 
 USUAL_RATE = 5.0
-"""Of BridgeData V2 [Hz]. What a model was fine-tuned on is what matters."""
+"""Rate of BridgeData V2 [Hz]; settings give that of other data."""
 EMPTY = 29871
 """Number of the empty token of Llama 2, between the text and the action."""
 CROP = 0.9
-"""Area that is left of a picture, in the middle, for models that were trained with random crops."""
+"""Share of an image's area that is kept, in the middle, for models that were trained with random crops."""
 PROMPT = "In: What action should the robot take to {}?\nOut:"
 PROMPT_V01 = (
     "A chat between a curious user and an artificial intelligence assistant. "
     "The assistant gives helpful, detailed, and polite answers to the user's questions. "
     "USER: What action should the robot take to {}? ASSISTANT:"
 )
-"""Of the models called v01, which stand on Vicuna."""
+"""Prompt of the models called v01, which are based on Vicuna."""
 
 
-class OpenvlaPolicy(Policy):
+class OpenvlaPolicy(SessionPolicy[None]):
     """Answers each observation with one action, in the units of the dataset whose statistics hold."""
 
     def __init__(self, checkpoint: str, settings: Settings | None = None) -> None:
@@ -48,7 +47,7 @@ class OpenvlaPolicy(Policy):
 
         Args:
             checkpoint: A folder that Transformers saved, or a name of its hub.
-            settings: `dataset` (upstream: unnorm_key), `images` (of the one picture, `image`), `action`, `rate`,
+            settings: `dataset` (upstream: unnorm_key), `images` (of the one image, `image`), `action`, `rate`,
                 `device`; options `center_crop` (false; true for models trained with random crops), `v01` (false; true
                 for the prompt of those models) and `attention` ("sdpa", "eager" or "flash_attention_2").
 
@@ -72,34 +71,33 @@ class OpenvlaPolicy(Policy):
         self._model.to(self._device).eval()
         self._dataset = chosen(settings.dataset, list(self._model.norm_stats), "dataset (OpenVLA calls it unnorm_key)")
         self._camera = settings.camera("image")
-        self._metadata = describe("openvla", checkpoint, settings, self._model, self._dataset)
-        self._sessions = Sessions(lambda _: None)
-
-    def metadata(self) -> Metadata:
-        """Return what the checkpoint needs and gives."""
-        return self._metadata
-
-    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Remember what is to be done. OpenVLA draws nothing by chance, and remembers no picture."""
-        self._sessions.reset(session, instruction)
+        action = settings.action or DELTA_POSE
+        check_parts("action", action, len(self._model.norm_stats[self._dataset]["action"]["q01"]))
+        super().__init__(
+            Metadata(
+                name="openvla",
+                action=action,
+                images=(ImageSpec(self._camera),),  # any size is stretched to the model's, as in training
+                needs_instruction=True,
+                rate=settings.rate or USUAL_RATE,
+                checkpoint=checkpoint,
+                checkpoint_hash=hash_of(checkpoint) if Path(checkpoint).is_dir() else "",
+            )
+        )
 
     def infer(self, observation: Observation) -> Chunk:
         """Return the next action.
 
         Raises:
-            InvalidInput: There is no picture, or no instruction.
+            InvalidInput: There is no image, or no instruction.
         """
-        instruction = told(observation, self._sessions.of(observation), "OpenVLA")
+        instruction = self._instruction(observation)
         image = picture_for(inputs.picture(observation, self._camera), self._is_cropped)
         given = self._processor(prompt(self._prompt, instruction), image).to(self._device, dtype=self._precision)
         self._end_with_empty(given)
         with self._torch.inference_mode():
             action = self._model.predict_action(**given, unnorm_key=self._dataset, do_sample=False)
         return Chunk(np.atleast_2d(np.asarray(action, np.float64)), 1.0 / self._metadata.rate, observation.time)
-
-    def forget(self, session: str) -> None:
-        """Let go of a session."""
-        self._sessions.forget(session)
 
     def _end_with_empty(self, given: Any) -> None:
         """End the text with the empty token, which it ended with in training.
@@ -131,48 +129,16 @@ def load(transformers: Any, checkpoint: str, precision: Any, attention: str) -> 
     return model, processor
 
 
-def describe(
-    name: str,
-    checkpoint: str,
-    settings: Settings,
-    model: Any,
-    dataset: str,
-    *,
-    pictures: tuple[str, ...] = ("image",),
-    horizon: int = 1,
-) -> Metadata:
-    """Return what a model needs and gives."""
-    action = settings.action or DELTA_POSE
-    check_parts("action", action, len(model.norm_stats[dataset]["action"]["q01"]))
-    return Metadata(
-        name=name,
-        action=action,
-        images=tuple(ImageSpec(settings.camera(picture)) for picture in pictures),
-        state=settings.state,
-        needs_instruction=True,
-        horizon=horizon,
-        rate=settings.rate or USUAL_RATE,
-        checkpoint=checkpoint,
-        checkpoint_hash=hash_of(checkpoint) if Path(checkpoint).is_dir() else "",
-        version=f"transformers {getattr(model.config, 'transformers_version', '')}".strip(),
-        # Any size is stretched to the model's, as it was for training.
-        extra={"statistics": dataset, "image_size": [int(size) for size in model.config.image_sizes]},
-    )
-
-
 def prompt(form: str, instruction: str) -> str:
     """Return the text that the model goes on from: the instruction in lower case, without a full stop at its end."""
     return form.format(instruction.strip().rstrip(".").lower())
 
 
 def picture_for(image: NDArray[np.uint8], is_cropped: bool) -> Any:
-    """Return a picture as the processor takes it; cropped, it has the same size, of the middle."""
-    from PIL import Image
+    """Return an image as the processor takes it; a cropped one is the middle at the same size."""
+    from PIL import Image, ImageOps
 
     found = Image.fromarray(np.array(image)).convert("RGB")
     if not is_cropped:
         return found
-    width, height = found.size
-    margin = (1.0 - math.sqrt(CROP)) / 2.0
-    box = (margin * width, margin * height, (1.0 - margin) * width, (1.0 - margin) * height)
-    return found.resize((width, height), Image.Resampling.BILINEAR, box=box)
+    return ImageOps.fit(found, found.size, Image.Resampling.BILINEAR, bleed=(1.0 - math.sqrt(CROP)) / 2.0)

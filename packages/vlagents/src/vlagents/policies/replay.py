@@ -1,46 +1,36 @@
-"""A policy that answers again what another one has answered."""
+"""A policy that repeats the recorded answers of another one."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
-from vlagents.around.recorded import read_calls
 from vlagents.chunk import Chunk
 from vlagents.errors import InvalidInput
 from vlagents.metadata import Metadata
 from vlagents.observation import Observation
-from vlagents.policy import Policy
+from vlagents.policies.sessions import SessionPolicy
+from vlagents.recorded import read_calls
 from vlagents.wire.calls import chunk_from_values
 
 
-class ReplayPolicy(Policy):
+class ReplayPolicy(SessionPolicy[Iterator[Chunk]]):
     """Answers the n-th observation of a session with the n-th chunk of a record, whatever is observed."""
 
     def __init__(self, checkpoint: str | Path) -> None:
         """Read a file that `Recorded` wrote.
 
+        Args:
+            checkpoint: The file.
+
         Raises:
-            InvalidInput: It is none, or nothing was answered in it.
+            InvalidInput: It is no such file, or has no answers.
         """
-        metadata: Metadata | None = None
-        self._chunks: list[Chunk] = []
-        for call in read_calls(checkpoint):
-            if "metadata" in call:
-                metadata = Metadata.from_dict(call["metadata"])
-            if "chunk" in call:
-                self._chunks.append(chunk_from_values(call["chunk"]))
-        if metadata is None or not self._chunks:
+        calls = list(read_calls(checkpoint))
+        self._chunks = [chunk_from_values(call["chunk"]) for call in calls if "chunk" in call]
+        if not self._chunks or "metadata" not in calls[0]:
             raise InvalidInput(f"{checkpoint} has no answers to replay.")
-        self._metadata = metadata
-        self._next: dict[str, int] = {}
-
-    def metadata(self) -> Metadata:
-        """Return what the policy that was recorded needs and gives."""
-        return self._metadata
-
-    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Begin with the first answer again."""
-        self._next[session] = 0
+        super().__init__(Metadata.from_dict(calls[0]["metadata"]))
 
     def infer(self, observation: Observation) -> Chunk:
         """Return the next answer, for the time of this observation.
@@ -48,13 +38,10 @@ class ReplayPolicy(Policy):
         Raises:
             InvalidInput: There is none left.
         """
-        index = self._next.get(observation.session, 0)
-        if index >= len(self._chunks):
-            raise InvalidInput(f"All {len(self._chunks)} answers were replayed; reset begins anew.")
-        self._next[observation.session] = index + 1
-        chunk = self._chunks[index]
+        chunk = next(self._session(observation).memory, None)
+        if chunk is None:
+            raise InvalidInput(f"All {len(self._chunks)} answers were replayed; reset begins again.")
         return Chunk(chunk.actions, chunk.period, observation.time, chunk.info)
 
-    def forget(self, session: str) -> None:
-        """Let go of a session's place."""
-        self._next.pop(session, None)
+    def _begin(self, seed: int | None) -> Iterator[Chunk]:
+        return iter(self._chunks)

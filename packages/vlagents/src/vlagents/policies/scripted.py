@@ -1,4 +1,4 @@
-"""A policy of one function, such as a controller or a test."""
+"""A policy made of one function, such as a controller or a test."""
 
 from __future__ import annotations
 
@@ -12,30 +12,33 @@ from vlagents.chunk import Chunk
 from vlagents.errors import InvalidInput
 from vlagents.metadata import Metadata
 from vlagents.observation import Observation
-from vlagents.policy import Policy
+from vlagents.policies.sessions import SessionPolicy
 
 
-class ScriptedPolicy(Policy):
-    """Answers with what a function returns for an observation and the session's instruction."""
+class ScriptedPolicy(SessionPolicy[None]):
+    """Answers with a function's actions for an observation and the session's instruction."""
 
     def __init__(self, act: Callable[[Observation, str], Any], metadata: Metadata) -> None:
         """Set the function.
 
         Args:
-            act: Takes an observation and the instruction, returns actions (horizon, size) or (size,).
-            metadata: What it needs and gives; its `rate` says what time a row is for.
+            act: A function of an observation and the instruction that returns actions, (horizon, size) or (size,).
+            metadata: What the function needs and gives, with the rate of its rows.
 
         Raises:
             InvalidInput: The metadata have no rate.
         """
         if metadata.rate <= 0:
             raise InvalidInput(f"rate of {metadata.name!r} is {metadata.rate!r}; valid is a number of hertz above 0.")
-        self._act, self._metadata = act, metadata
-        self._told: dict[str, str] = {}
+        super().__init__(metadata)
+        self._act = act
 
     @classmethod
     def load(cls, checkpoint: str) -> ScriptedPolicy:
-        """Return the policy that a function makes, given as `module:function`; it has no arguments.
+        """Return the policy that a function without arguments makes.
+
+        Args:
+            checkpoint: The function, as `module:function`.
 
         Raises:
             InvalidInput: There is no such function, or it makes something else.
@@ -49,20 +52,8 @@ class ScriptedPolicy(Policy):
             raise InvalidInput(f"{checkpoint!r} made {type(made).__name__}; valid is a ScriptedPolicy.")
         return made
 
-    def metadata(self) -> Metadata:
-        """Return what was given."""
-        return self._metadata
-
-    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Remember what is to be done."""
-        self._told[session] = instruction
-
     def infer(self, observation: Observation) -> Chunk:
-        """Return what the function says."""
-        instruction = observation.instruction or self._told.get(observation.session, "")
+        """Return the function's actions."""
+        instruction = observation.instruction or self._session(observation).instruction
         actions = np.atleast_2d(np.asarray(self._act(observation, instruction), np.float64))
         return Chunk(actions, 1.0 / self._metadata.rate, observation.time)
-
-    def forget(self, session: str) -> None:
-        """Let go of a session's instruction."""
-        self._told.pop(session, None)

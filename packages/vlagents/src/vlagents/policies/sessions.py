@@ -1,60 +1,65 @@
-"""What a policy remembers of each session, apart from all others'."""
+"""The part that policies share: a memory of each session, apart from all others'."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from vlagents.errors import InvalidInput
+from vlagents.metadata import Metadata
 from vlagents.observation import Observation
+from vlagents.policy import Policy
 
 T = TypeVar("T")
 
 
 @dataclass
 class Session(Generic[T]):
-    """One robot's, or one copy's."""
+    """The session of one robot, or of one copy."""
 
     instruction: str
-    """What it was told at the reset."""
+    """The instruction of the reset."""
     memory: T
-    """Whatever the policy keeps."""
+    """Whatever the policy remembers."""
 
 
-class Sessions(Generic[T]):
-    """Sessions by name. One that was never reset begins with its first observation."""
+class SessionPolicy(Policy, Generic[T]):
+    """A policy with fixed metadata and a memory of each session, which begins with a reset or the first observation."""
 
-    def __init__(self, begin: Callable[[int | None], T]) -> None:
-        """Set what a session begins with, as a function of the seed."""
-        self._begin = begin
+    def __init__(self, metadata: Metadata) -> None:
+        """Set the metadata."""
+        self._metadata = metadata
         self._sessions: dict[str, Session[T]] = {}
 
-    def reset(self, name: str, instruction: str = "", seed: int | None = None) -> None:
-        """Begin a session anew."""
-        self._sessions[name] = Session(instruction, self._begin(seed))
+    def metadata(self) -> Metadata:
+        """Return what the policy needs and gives."""
+        return self._metadata
 
-    def of(self, observation: Observation) -> Session[T]:
-        """Return the session of an observation."""
+    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
+        """Begin an episode: forget the session's memory, and keep the instruction."""
+        self._sessions[session] = Session(instruction, self._begin(seed))
+
+    def forget(self, session: str) -> None:
+        """Forget a session."""
+        self._sessions.pop(session, None)
+
+    def _begin(self, seed: int | None) -> Any:
+        """Return the memory of a new session."""
+
+    def _session(self, observation: Observation) -> Session[T]:
         if observation.session not in self._sessions:
-            self.reset(observation.session)
+            self._sessions[observation.session] = Session("", self._begin(None))
         return self._sessions[observation.session]
 
-    def forget(self, name: str) -> None:
-        """Let go of a session."""
-        self._sessions.pop(name, None)
+    def _instruction(self, observation: Observation) -> str:
+        """Return the observation's instruction, or that of the reset.
 
-
-def told(observation: Observation, session: Session[T], policy: str) -> str:
-    """Return what is to be done: the observation's instruction, or that of the reset.
-
-    Raises:
-        InvalidInput: There is none.
-    """
-    instruction = observation.instruction or session.instruction
-    if not instruction:
-        raise InvalidInput(
-            f"{policy} is told in words what to do, and there is no instruction. Give it to `reset`, or with the "
-            "observation."
-        )
-    return instruction
+        Raises:
+            InvalidInput: There is none.
+        """
+        instruction = observation.instruction or self._session(observation).instruction
+        if not instruction:
+            raise InvalidInput(
+                f"{self._metadata.name} needs an instruction in words. Give it to `reset`, or with the observation."
+            )
+        return instruction

@@ -1,16 +1,15 @@
-"""V-JEPA 2-AC (facebookresearch/vjepa2): a world model that plans towards a picture of the goal.
+"""V-JEPA 2-AC (facebookresearch/vjepa2): a world model that plans towards an image of the goal.
 
-A video encoder turns pictures into features; a predictor says which features follow a motion of the hand; the motion
-whose features come nearest to the goal's is the answer (`cross_entropy`). Nothing is said in words.
+A video encoder turns images into features; a predictor computes the features that follow a motion of the hand; the
+answer is the motion whose features are nearest to the goal's (`cross_entropy`). The task is an image, not words.
 
-A checkpoint is a folder with `encoder/`, a V-JEPA 2 as Transformers saves it, and `predictor.pt`, PyTorch's file that
-upstream publishes, of which the entry `predictor` is used. The predictor's class comes from a checkout of upstream's
-repository, because no package has it.
+A checkpoint is a folder with `encoder/`, a V-JEPA 2 as Transformers saves it, and `predictor.pt`, the published PyTorch
+file, whose entry `predictor` is used. The predictor's class comes from a checkout of the original repository, because
+no package has it.
 """
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -27,45 +26,44 @@ from vlagents.observation import Observation
 from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.cross_entropy import Search, plan
-from vlagents.policies.sessions import Sessions
+from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import DELTA_POSE, Settings
 from vlagents.policies.torch_stack import device, import_stack
-from vlagents.policy import Policy
 
 USUAL_RATE = 4.0
-"""Frames per second of DROID as the model has learned from it [Hz]."""
+"""Frames per second of the DROID data in training [Hz]."""
 STATE = (PartSpec("xyzrpy", 6, "m, rad"), PartSpec("gripper", 1, "0 closed, 1 open"))
-"""Of the TCP in the base frame, roll-pitch-yaw about the base's axes, as in DROID."""
+"""Pose of the TCP in the base frame, roll-pitch-yaw about the base's axes, and gripper, as in DROID."""
 PICTURE = "image"
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of ImageNet's colours, with which the encoder was trained."""
+"""Mean and deviation of ImageNet's colours, with which the encoder was trained."""
 PREDICTOR = ("predictor_embed_dim", "depth", "num_heads", "num_frames")
-"""Options that are sizes of the predictor; left out, they are those of the published model (1024, 24, 16, 64)."""
+"""Options that are sizes of the predictor; by default those of the published model (1024, 24, 16, 64)."""
 
 
 @dataclass
 class _Memory:
-    """What a session remembers: what it draws by, and the goal's features by its picture's bytes."""
+    """The memory of a session: its random numbers, and the image and features of its goal."""
 
     generator: Any
-    goal_hash: bytes = b""
+    image: NDArray[np.uint8] | None = None
     goal: Any = None
 
 
-class Vjepa2AcPolicy(Policy):
-    """Answers with the first steps of a plan: how far the TCP goes, and where the gripper goes."""
+class Vjepa2AcPolicy(SessionPolicy[_Memory]):
+    """Answers with a plan: how far the TCP moves in each step, and where the gripper goes."""
 
     def __init__(self, checkpoint: str, settings: Settings | None = None) -> None:
         """Load encoder and predictor.
 
         Args:
             checkpoint: The folder.
-            settings: `images` (of the one picture, `image`), `rate`, `device`; options are the fields of `Search`, and
+            settings: `images` (of the one image, `image`), `rate`, `device`; options are the fields of `Search`, and
                 sizes of the predictor if it is not the published one.
 
         Raises:
             MissingStack: A package, or the checkout, is not there.
-            InvalidInput: The folder has not both parts, or they do not fit.
+            InvalidInput: A part of the checkpoint is missing, or the parts do not fit.
         """
         settings = settings or Settings.read(checkpoint)
         settings.check_images([PICTURE])
@@ -83,31 +81,30 @@ class Vjepa2AcPolicy(Policy):
         sizes = {name: settings.options[name] for name in PREDICTOR if name in settings.options}
         self._predictor = self._load_predictor(folder / "predictor.pt", sizes)
         self._camera = settings.camera(PICTURE)
-        self._metadata = Metadata(
-            name="vjepa2_ac",
-            action=DELTA_POSE,
-            images=(ImageSpec(self._camera),),
-            state=STATE,
-            horizon=self._search.horizon,
-            rate=settings.rate or USUAL_RATE,
-            checkpoint=checkpoint,
-            checkpoint_hash=hash_of(checkpoint),
-            version=f"transformers {transformers.__version__}",
-            extra={"goals": [self._camera], "image_size": self._size},
+        super().__init__(
+            Metadata(
+                name="vjepa2_ac",
+                action=DELTA_POSE,
+                images=(ImageSpec(self._camera),),
+                state=STATE,
+                horizon=self._search.horizon,
+                rate=settings.rate or USUAL_RATE,
+                checkpoint=checkpoint,
+                checkpoint_hash=hash_of(checkpoint),
+            )
         )
-        self._sessions = Sessions(lambda seed: _Memory(self._generator(seed)))
 
     @property
     def _size(self) -> int:
         return int(self._encoder.config.crop_size)
 
-    def _generator(self, seed: int | None) -> Any:
+    def _begin(self, seed: int | None) -> _Memory:
         generator = self._torch.Generator()
         if seed is None:
             generator.seed()
         else:
             generator.manual_seed(seed)
-        return generator
+        return _Memory(generator)
 
     def _load_predictor(self, file: Path, sizes: Mapping[str, Any]) -> Any:
         try:
@@ -135,21 +132,13 @@ class Vjepa2AcPolicy(Policy):
             ) from error
         return predictor.to(self._device).eval()
 
-    def metadata(self) -> Metadata:
-        """Return what the model needs and gives."""
-        return self._metadata
-
-    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Forget the session's goal. An instruction is not used: a picture says what to do."""
-        self._sessions.reset(session, instruction, seed)
-
     def infer(self, observation: Observation) -> Chunk:
-        """Return the steps of a plan towards the goal's picture, or towards the last one that this session gave.
+        """Return the steps of a plan towards the goal's image, or towards the last one of this session.
 
         Raises:
-            InvalidInput: A picture or a part of the state is missing, or there is no goal.
+            InvalidInput: An image or a part of the state is missing, or there is no goal.
         """
-        memory = self._sessions.of(observation).memory
+        memory = self._session(observation).memory
         pose = inputs.numbers(observation, STATE)
         with self._torch.inference_mode():
             here = self._features(inputs.picture(observation, self._camera))
@@ -160,30 +149,25 @@ class Vjepa2AcPolicy(Policy):
         steps[:, 6] = np.clip(pose[6] - np.cumsum(motion[:, 3]), 0.0, 1.0)
         return Chunk(steps, 1.0 / self._metadata.rate, observation.time, {"distance": distance})
 
-    def forget(self, session: str) -> None:
-        """Let go of a session."""
-        self._sessions.forget(session)
-
     def _goal(self, observation: Observation, memory: _Memory) -> Any:
-        """Return the goal's features; a picture that was seen before is not encoded again."""
+        """Return the goal's features; an unchanged image is not encoded again."""
         image = inputs.goal(observation, self._camera)
         if image is None:
             if memory.goal is None:
                 raise InvalidInput(
-                    f"V-JEPA 2-AC is shown what to do: goals[{self._camera!r}] of the first observation is the picture."
+                    f"V-JEPA 2-AC needs a goal: give its image as goals[{self._camera!r}] of the first observation."
                 )
             return memory.goal
-        digest = hashlib.sha256(repr(image.shape).encode() + np.ascontiguousarray(image).tobytes()).digest()
-        if digest != memory.goal_hash:
-            memory.goal_hash, memory.goal = digest, self._features(image)
+        if memory.image is None or not np.array_equal(image, memory.image):
+            memory.image, memory.goal = np.array(image), self._features(image)
         return memory.goal
 
     def _features(self, image: NDArray[np.uint8]) -> Any:
-        """Return what the encoder sees in a picture: (1, patches, width), each of mean 0 and deviation 1."""
+        """Return the encoder's features of an image, (1, patches, width), each of mean 0 and deviation 1."""
         torch = self._torch
         colours = torch.from_numpy(_square(image, self._size)).to(self._device).permute(2, 0, 1).float() / 255.0
         mean, deviation = (torch.tensor(values, device=self._device)[:, None, None] for values in (MEAN, DEVIATION))
-        # One picture as a video that stands still, as long as the encoder looks at once.
+        # One image as a still video, as long as the encoder sees at once.
         still = ((colours - mean) / deviation).expand(1, self._encoder.config.tubelet_size, -1, -1, -1)
         return self._normal(self._encoder.get_vision_features(still))
 
@@ -193,7 +177,7 @@ class Vjepa2AcPolicy(Policy):
     def _plan(
         self, here: Any, goal: Any, pose: NDArray[np.float64], generator: Any
     ) -> tuple[NDArray[np.float64], float]:
-        """Return a motion (horizon, 4), and how far from the goal its last round's best is in features."""
+        """Return a motion (horizon, 4), and the distance of the last round's best from the goal in features."""
         torch, patches = self._torch, here.shape[1]
         start = torch.tensor([*pose[:6], 1.0 - pose[6]], dtype=torch.float32, device=self._device)
         nearest = float("inf")
@@ -218,11 +202,7 @@ class Vjepa2AcPolicy(Policy):
 
 
 def _square(image: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
-    """Return the middle of a picture as a square of `size` pixels."""
-    from PIL import Image
+    """Return the middle of an image as a square of `size` pixels."""
+    from PIL import Image, ImageOps
 
-    height, width = image.shape[:2]
-    side = min(height, width)
-    left, top = (width - side) / 2, (height - side) / 2
-    box = (left, top, left + side, top + side)
-    return np.array(Image.fromarray(np.array(image)).resize((size, size), Image.Resampling.BILINEAR, box=box))
+    return np.array(ImageOps.fit(Image.fromarray(np.array(image)), (size, size), Image.Resampling.BILINEAR))

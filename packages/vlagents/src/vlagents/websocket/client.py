@@ -1,9 +1,7 @@
-"""Asks a server over openpi's websocket: one of openpi's, or ours."""
+"""Calls a server over openpi's websocket: one of openpi's, or ours."""
 
 from __future__ import annotations
 
-import socket
-import ssl
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +12,6 @@ from vlagents.chunk import Chunk
 from vlagents.errors import (
     BadMessage,
     ConnectionLost,
-    DeadlineExceeded,
     InvalidInput,
     Mismatch,
     VlagentsError,
@@ -23,20 +20,20 @@ from vlagents.errors import (
 from vlagents.metadata import Metadata, Offer, differences
 from vlagents.observation import Observation
 from vlagents.policy import Policy
+from vlagents.record import positive
 from vlagents.wire.calls import chunk_from_values
-from vlagents.wire.deadline import Deadline
 from vlagents.wire.frames import FrameChannel
 from vlagents.wire.handshake import ask
-from vlagents.wire.link import Link
+from vlagents.wire.link import Deadline, Link, dial
 from vlagents.wire.openpi import OWN, chunk_from_flat, observation_to_flat, pack_parts, unpack
 from vlagents.wire.stream import LARGEST_BODY
 
 ATTENDED = 2.0
-"""How often pings of the server are looked for while nothing is asked [s]; openpi's servers wait 20 s."""
+"""Period of answering pings of the server between calls [s]; openpi's servers wait 20 s."""
 
 
 class WebsocketClient(Policy):
-    """Asks a server over openpi's websocket: one of openpi's, or ours."""
+    """Calls a server over openpi's websocket: one of openpi's, or ours."""
 
     def __init__(
         self,
@@ -56,26 +53,24 @@ class WebsocketClient(Policy):
             token: Sent as `Authorization: Api-Key TOKEN`.
             timeout: How long an answer may take [s].
             offer: What the robot shows and takes; None to compare nothing.
-            metadata: What the policy needs and gives, where the server does not tell: openpi's do not.
+            metadata: What the policy needs and gives, where the server does not say: openpi's do not.
             period: Time that each row of a chunk is for [s], where the metadata have no rate.
             certificate: File with the certificate that the server's must be signed by; None for those of the system.
 
         Raises:
-            InvalidInput: The address is none.
-            ConnectionLost: Nobody is there.
-            DeadlineExceeded: Somebody is, and says nothing.
+            InvalidInput: The address is not valid.
+            ConnectionLost: No server is there.
+            DeadlineExceeded: It does not answer.
             Unauthorized: The token is wrong.
             Mismatch: Robot and policy do not fit.
         """
         self.address = parse(address)
         if self.address.scheme not in ("ws", "wss"):
-            raise InvalidInput(f"{address!r} is no websocket; use vlagents.client.Client.")
-        self.timeout = float(timeout)
+            raise InvalidInput(f"{address!r} is no websocket; use vlagents.connect.")
+        self.timeout = positive("timeout", timeout)
         """How long an answer may take [s]."""
-        self._token, self._offer, self._told, self._period = token, offer, metadata, period
-        self._tls: ssl.SSLContext | None = None
-        if self.address.scheme == "wss":
-            self._tls = ssl.create_default_context(cafile=None if certificate is None else str(certificate))
+        self._token, self._offer, self._given, self._period = token, offer, metadata, period
+        self._certificate = certificate
         self._lock = threading.RLock()
         self._number = 0
         self._channel: FrameChannel | None = None
@@ -85,7 +80,7 @@ class WebsocketClient(Policy):
         threading.Thread(target=self._attend, name=f"vlagents pongs to {self.address}", daemon=True).start()
 
     def metadata(self) -> Metadata:
-        """Return what the server told, or what was given in its place."""
+        """Return the server's metadata, or those that stand in for them."""
         return self._metadata
 
     def infer(self, observation: Observation) -> Chunk:
@@ -108,11 +103,11 @@ class WebsocketClient(Policy):
             rate = self._metadata.rate
             period = self._period if self._period is not None else 1.0 / rate if rate > 0 else None
             if period is None:
-                raise InvalidInput(f"{self.address} does not tell what time an action is for; give `period`.")
+                raise InvalidInput(f"{self.address} does not say what time an action is for; give `period`.")
             return chunk_from_flat(answer, period, observation.time)
 
     def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Begin an episode; connect anew if the server was gone. openpi's servers remember nothing."""
+        """Begin an episode; connect again if the server was gone. openpi's servers remember nothing."""
         with self._lock:
             if self._channel is None:
                 self._metadata = self._connect()
@@ -120,7 +115,7 @@ class WebsocketClient(Policy):
             self._call("reset", session=session, instruction=instruction, seed=seed)
 
     def forget(self, session: str) -> None:
-        """Let a server of ours forget a session."""
+        """Have a server of ours forget a session."""
         if self._is_ours:
             self._call("forget", session=session)
 
@@ -145,7 +140,7 @@ class WebsocketClient(Policy):
         with self._lock:
             channel = self._channel
             if channel is None:
-                raise ConnectionLost(f"There is no connection to {self.address}; `reset` connects anew.")
+                raise ConnectionLost(f"There is no connection to {self.address}; `reset` connects again.")
             parts = pack_parts(values)
             deadline = Deadline(self.timeout, f"The answer of {self.address}")
             try:
@@ -179,7 +174,7 @@ class WebsocketClient(Policy):
     def _connect(self) -> Metadata:
         deadline = Deadline(self.timeout, f"The greeting of {self.address}")
         headers = {} if self._token is None else {"Authorization": f"Api-Key {self._token}"}
-        link = Link(self._open())
+        link = Link(dial(self.address, self.timeout, self._certificate))
         try:
             ask(link, str(self.address), headers, deadline)
             channel = FrameChannel(link, is_client=True, largest=LARGEST_BODY)
@@ -195,25 +190,12 @@ class WebsocketClient(Policy):
         self._channel = channel
         return metadata
 
-    def _open(self) -> socket.socket:
-        try:
-            connection = socket.create_connection((self.address.host, self.address.port), timeout=self.timeout)
-            if self._tls is not None:
-                connection = self._tls.wrap_socket(connection, server_hostname=self.address.host)
-        except TimeoutError as error:
-            raise DeadlineExceeded(f"{self.address} did not answer within {self.timeout:g} s.") from error
-        except OSError as error:  # SSLError is one
-            raise ConnectionLost(f"Nobody is at {self.address}: {error}.") from error
-        return connection
-
     def _greeted(self, greeting: dict[str, Any]) -> Metadata:
         self._is_ours = isinstance(greeting.get(OWN), Mapping)
         if self._is_ours:
             metadata = Metadata.from_dict(greeting[OWN])
-        elif self._told is not None:
-            metadata = self._told
         else:
-            metadata = Metadata(name="openpi", action=(), extra=greeting)
+            metadata = self._given or Metadata(name="openpi", action=())
         if self._offer is not None and metadata.action and (found := differences(metadata, self._offer)):
             raise Mismatch(found)
         return metadata

@@ -1,7 +1,7 @@
-"""msgpack whose large values of bytes, such as pictures, are read where they lie, and in which all else is little.
+"""msgpack whose large values of bytes, such as images, are views of the message, and in which all else is small.
 
-Small values grow when they are read: an empty dictionary is one byte of a message and 64 of memory, and while a library
-reads them nobody else gets Python's lock.
+Small values grow when they are read: an empty dictionary is one byte of a message and 64 of memory, and other threads
+wait for Python's lock while a library reads them.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import msgpack
+from msgspec import msgpack
 
 from vlagents.errors import BadMessage
 from vlagents.wire.stream import LARGEST_HEADER
@@ -17,7 +17,7 @@ from vlagents.wire.stream import LARGEST_HEADER
 LARGE = 64 << 10
 """Values of at least so many bytes are not copied [bytes]."""
 PLACE = 1
-"""Code of the extension that stands for a large value; what comes over a wire has none."""
+"""Code of the extension that stands for a large value; messages on a wire have no extensions."""
 FIXED = {0xC0: 1, 0xC2: 1, 0xC3: 1, 0xCA: 5, 0xCB: 9, 0xCC: 2, 0xCD: 3, 0xCE: 5, 0xCF: 9, 0xD0: 2, 0xD1: 3, 0xD2: 5} | {
     0xD3: 9
 }
@@ -33,25 +33,31 @@ def unpack(data: bytes | memoryview, hook: Callable[[dict[Any, Any]], Any], *, m
 
     Args:
         data: The message. Large values of bytes are views of it.
-        hook: Takes each dictionary, and returns what it stands for.
+        hook: Takes each dictionary, innermost first, and returns what it stands for.
         most: Most bytes of all that is no large value; a message of fewer than `LARGE` bytes is read anyway.
 
     Raises:
-        BadMessage: It is none, or has more than that.
+        BadMessage: It is no msgpack, or has more bytes than that.
     """
     small, large = (data, []) if len(data) < LARGE else _apart(memoryview(data), most)
 
-    def put_back(code: int, index: bytes) -> memoryview:
+    def put_back(code: int, index: memoryview) -> memoryview:
         if code != PLACE or not large:
             raise BadMessage(f"A message has an extension of code {code}; valid are none.")
         return large[int.from_bytes(index, "big")]
 
     try:
-        return msgpack.unpackb(small, object_hook=hook, ext_hook=put_back, strict_map_key=True)
+        return _revived(msgpack.decode(small, ext_hook=put_back), hook)
     except BadMessage:
         raise
-    except Exception as error:  # whatever msgpack raises for what is no msgpack
+    except Exception as error:  # whatever msgspec raises for other bytes
         raise BadMessage(f"This is no msgpack: {type(error).__name__}: {error}.") from error
+
+
+def _revived(value: Any, hook: Callable[[dict[Any, Any]], Any]) -> Any:
+    if isinstance(value, list):
+        return [_revived(each, hook) for each in value]
+    return hook({key: _revived(each, hook) for key, each in value.items()}) if isinstance(value, dict) else value
 
 
 def _apart(data: memoryview, most: int) -> tuple[bytes, list[memoryview]]:
@@ -91,5 +97,5 @@ def _apart(data: memoryview, most: int) -> tuple[bytes, list[memoryview]]:
         else:
             raise BadMessage(f"A message has a value that begins with {kind:#04x}; valid are none with extensions.")
     if at != size:
-        raise BadMessage(f"A message of msgpack ends after {at} bytes; {size} came.")
+        raise BadMessage(f"A message of msgpack ends after {at} bytes; it has {size}.")
     return b"".join([*small, data[done:]]), large

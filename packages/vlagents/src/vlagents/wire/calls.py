@@ -1,34 +1,72 @@
-"""What is said on a wire: calls and answers as plain values, and what they mean to a policy.
+"""Calls and answers as plain values.
 
-A connection begins with `hello`, which has the token and what the robot offers. Then it may ask for `metadata`,
+A connection begins with `hello`, which has the token and what the robot offers. Then the client may call `metadata`,
 `reset`, `infer`, `forget` and `ping`, each with a number that the answer repeats.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
 from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, InvalidInput, as_failure
 from vlagents.jpeg import Jpeg
+from vlagents.metadata import Offer
 from vlagents.observation import Observation
+from vlagents.record import Seconds, read
 
 VERSION = 1
-"""Of what is said; another one is refused."""
+"""Version of the calls; another one is refused."""
+
+
+@dataclass(frozen=True)
+class Call:
+    """A call of a client; each kind of call uses some of the fields."""
+
+    call: str
+    within: Seconds | None = None
+    """How long the client waits for the answer [s]."""
+    version: Any = None
+    token: Any = None
+    offer: Offer | None = None
+    session: Annotated[str, Meta(max_length=200)] = ""
+    instruction: Annotated[str, Meta(max_length=100_000)] = ""
+    seed: Annotated[int, Meta(ge=0)] | None = None
+    observation: Any = None
+
+
+@dataclass(frozen=True)
+class _Observation:
+    images: dict[str, Any] = field(default_factory=dict)
+    goals: dict[str, Any] = field(default_factory=dict)
+    state: dict[str, np.ndarray] = field(default_factory=dict)
+    instruction: str = ""
+    time: float = 0.0
+    session: str = ""
+    previous: np.ndarray | None = None
+    frozen: int = 0
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    actions: np.ndarray
+    period: float
+    time: float = 0.0
+    info: dict[str, float | str] = field(default_factory=dict)
 
 
 def observation_to_values(observation: Observation) -> dict[str, Any]:
-    """Return an observation as a message has it."""
+    """Return an observation as plain values."""
     return {
         "images": {name: _image_to_values(image) for name, image in observation.images.items()},
         "goals": {name: _image_to_values(image) for name, image in observation.goals.items()},
         "state": {name: np.asarray(values) for name, values in observation.state.items()},
         "instruction": observation.instruction,
         "time": float(observation.time),
-        "times": {name: float(time) for name, time in observation.times.items()},
         "session": observation.session,
         **({} if observation.previous is None else {"previous": observation.previous, "frozen": observation.frozen}),
     }
@@ -40,22 +78,14 @@ def observation_from_values(values: object) -> Observation:
     Raises:
         InvalidInput: Something is missing or wrong.
     """
-    given = mapping("observation", values)
-    return Observation(
-        images={name: _image(name, image) for name, image in mapping("images", given.get("images", {})).items()},
-        goals={name: _image(name, image) for name, image in mapping("goals", given.get("goals", {})).items()},
-        state={name: _numbers(name, part) for name, part in mapping("state", given.get("state", {})).items()},
-        instruction=given.get("instruction", ""),
-        time=_number("time", given.get("time", 0.0)),
-        times={name: _number(name, time) for name, time in mapping("times", given.get("times", {})).items()},
-        session=given.get("session", ""),
-        previous=None if given.get("previous") is None else _numbers("previous", given["previous"]),
-        frozen=given.get("frozen", 0),
-    )
+    found = vars(read(_Observation, values)).copy()
+    for what in ("images", "goals"):
+        found[what] = {name: _image(name, image) for name, image in found[what].items()}
+    return Observation(**found)
 
 
 def chunk_to_values(chunk: Chunk) -> dict[str, Any]:
-    """Return a chunk as a message has it."""
+    """Return a chunk as plain values."""
     return {
         "actions": chunk.actions,
         "period": float(chunk.period),
@@ -68,59 +98,28 @@ def chunk_from_values(values: object) -> Chunk:
     """Read what `chunk_to_values` made.
 
     Raises:
-        BadMessage: It is none.
+        BadMessage: The values are no chunk.
     """
     try:
-        given = mapping("chunk", values)
-        actions = given.get("actions")
-        if not isinstance(actions, np.ndarray):
-            raise InvalidInput("A chunk has no actions.")
-        return Chunk(
-            actions=np.array(actions, np.float64),
-            period=_number("period", given.get("period")),
-            time=_number("time", given.get("time", 0.0)),
-            info=dict(mapping("info", given.get("info", {}))),
-        )
-    except InvalidInput as error:
+        found = read(_Chunk, values)
+        return Chunk(np.array(found.actions, np.float64), found.period, found.time, found.info)
+    except (InvalidInput, ValueError, TypeError) as error:
         raise BadMessage(f"The answer is no chunk: {error}") from error
 
 
 def failure(number: object, error: BaseException) -> dict[str, Any]:
-    """Return the answer that says what went wrong with a call."""
+    """Return the answer to a call that failed."""
     return {"id": number, "error": as_failure(error)}
-
-
-def mapping(what: str, values: object) -> Mapping[str, Any]:
-    """Return values if they are a dictionary with str as keys.
-
-    Raises:
-        InvalidInput: They are not.
-    """
-    if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
-        raise InvalidInput(f"{what} is {type(values).__name__}; valid is a dictionary with names as keys.")
-    return values
 
 
 def _image_to_values(image: Any) -> Any:
     return {"jpeg": np.frombuffer(image.data, np.uint8)} if isinstance(image, Jpeg) else image
 
 
-def _image(name: str, image: object) -> Any:
-    if isinstance(image, Mapping):
-        data = image.get("jpeg")
-        if not isinstance(data, np.ndarray) or data.dtype != np.uint8 or data.ndim != 1:
-            raise InvalidInput(f"The JPEG of image {name!r} is not bytes.")
-        return Jpeg(data.tobytes())
-    return image
-
-
-def _numbers(name: str, part: object) -> Any:
-    if not isinstance(part, np.ndarray):
-        raise InvalidInput(f"{name!r} is {type(part).__name__}; valid is an array.")
-    return part
-
-
-def _number(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InvalidInput(f"{name} is {value!r:.80}; valid is a number.")
-    return float(value)
+def _image(name: str, image: Any) -> Any:
+    if not isinstance(image, dict):
+        return image
+    data = image.get("jpeg")
+    if not isinstance(data, np.ndarray) or data.dtype != np.uint8 or data.ndim != 1:
+        raise InvalidInput(f"The JPEG of image {name!r} is not bytes.")
+    return Jpeg(data.tobytes())

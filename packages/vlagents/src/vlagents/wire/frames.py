@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
-from vlagents.wire.deadline import Deadline
-from vlagents.wire.link import Link
+from vlagents.wire.link import Deadline, Link
 from vlagents.wire.stream import KEPT, LARGEST_BODY
 
 GO_ON, TEXT, BINARY, CLOSE, PING, PONG = 0, 1, 2, 8, 9, 10

@@ -11,8 +11,7 @@ from websockets.server import ServerProtocol
 from websockets.uri import parse_uri
 
 from vlagents.errors import BadMessage, ConnectionLost, Unauthorized
-from vlagents.wire.deadline import Deadline
-from vlagents.wire.link import Link
+from vlagents.wire.link import Deadline, Link
 
 _log = logging.getLogger(f"{__name__}.library")
 _log.setLevel(logging.WARNING)  # not a line per connection

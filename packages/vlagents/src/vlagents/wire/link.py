@@ -10,17 +10,79 @@ import contextlib
 import select
 import socket
 import ssl
+import time
 from collections.abc import Sequence
+from pathlib import Path
 
-from vlagents.errors import ConnectionLost
-from vlagents.wire.deadline import Deadline
+from vlagents.address import Address
+from vlagents.errors import ConnectionLost, DeadlineExceeded
 
 AHEAD = 64 << 10
-"""Most bytes that are read before anybody asked for them."""
+"""Most bytes that are read ahead."""
 MOST_PARTS = 512
 """Most buffers in one call of the system."""
 STRIDE = 8 << 20
 """Most bytes of one call of the system while a message is read."""
+
+
+class Deadline:
+    """A moment by which something must be done; every wait on the way gets the time that is left."""
+
+    def __init__(self, seconds: float | None, what: str) -> None:
+        """Start.
+
+        Args:
+            seconds: How long from now; None for ever.
+            what: The event that must happen, for the error: "the server's answer".
+        """
+        self.seconds = seconds
+        self._what = what
+        self._end = None if seconds is None else time.monotonic() + seconds
+
+    def left(self) -> float | None:
+        """Return how much time is left [s], above 0; None for ever.
+
+        Raises:
+            DeadlineExceeded: There is none left.
+        """
+        if self._end is None:
+            return None
+        left = self._end - time.monotonic()
+        if left <= 0:
+            raise self.exceeded()
+        return left
+
+    def exceeded(self) -> DeadlineExceeded:
+        """Return the error for an event that did not happen in time."""
+        return DeadlineExceeded(f"{self._what} did not come within {self.seconds:g} s.")
+
+
+def dial(address: Address, timeout: float, certificate: str | Path | None = None) -> socket.socket:
+    """Return a connection to a server, with TLS where the address's scheme has it.
+
+    Args:
+        address: Where the server is.
+        timeout: How long each step may take [s].
+        certificate: File with the certificate that the server's must be signed by; None for those of the system.
+
+    Raises:
+        ConnectionLost: No server is there, or its certificate is not valid.
+        DeadlineExceeded: It does not answer.
+    """
+    connection = None
+    try:
+        connection = socket.create_connection((address.host, address.port), timeout=timeout)
+        if address.scheme in ("vlas", "wss"):
+            context = ssl.create_default_context(cafile=None if certificate is None else str(certificate))
+            connection = context.wrap_socket(connection, server_hostname=address.host)
+    except OSError as error:  # SSLError is one
+        if connection is not None:
+            connection.close()
+        if isinstance(error, TimeoutError):
+            raise DeadlineExceeded(f"{address} did not answer within {timeout:g} s.") from error
+        what = "No server is" if connection is None else "There is no TLS"
+        raise ConnectionLost(f"{what} at {address}: {error}.") from error
+    return connection
 
 
 class Link:
@@ -39,7 +101,7 @@ class Link:
         if connection.family != socket.AF_UNIX:
             with contextlib.suppress(OSError):
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                # Whoever has gone without a word, because its cable was pulled, is noticed after a minute.
+                # A peer that disappears silently, because its cable was pulled, is noticed after a minute.
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
                 for name, value in (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3)):
                     if hasattr(socket, name):
@@ -47,14 +109,14 @@ class Link:
 
     @property
     def ahead(self) -> memoryview:
-        """What was read and not taken yet."""
+        """Bytes that were read and not taken yet."""
         return self._ahead[self._start : self._end]
 
     def need(self, count: int, deadline: Deadline) -> memoryview:
         """Return the next `count` bytes, up to `AHEAD` of them, without taking them.
 
         Raises:
-            DeadlineExceeded: They did not come in time.
+            DeadlineExceeded: They did not arrive in time.
             ConnectionLost: The other side has gone.
         """
         while self._end - self._start < count:

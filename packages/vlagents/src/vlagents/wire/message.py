@@ -1,17 +1,18 @@
-"""A message: plain values in a header, and the bytes of its arrays beside it, which nobody copies.
+"""A message: plain values in a header, and the bytes of its arrays beside it, which are not copied.
 
-The header is msgpack. An array in it is an extension of code 1 that holds `[dtype, shape, offset]`; its bytes lie at
-that offset of the body. Nothing in a message is code, and nothing is imported because of one.
+The header is a dictionary in msgpack. An array in it is an extension of code 1 that holds `[dtype, shape, offset]`; its
+bytes lie at that offset of the body. Nothing in a message is code, and nothing is imported because of one.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import Any
 
-import msgpack
 import numpy as np
+from msgspec import msgpack
+from numpy.typing import NDArray
 
 from vlagents.errors import BadMessage, InvalidInput
 
@@ -26,7 +27,7 @@ SMALL = 64 << 10
 """Arrays of fewer bytes are copied out of a body [bytes]."""
 
 
-def pack(values: Any) -> tuple[bytes, list[memoryview], int]:
+def pack(values: dict[str, Any]) -> tuple[bytes, list[memoryview], int]:
     """Split values into a header and the arrays' bytes.
 
     Args:
@@ -36,40 +37,54 @@ def pack(values: Any) -> tuple[bytes, list[memoryview], int]:
         The header, the parts of the body with the padding between them, and the body's length [bytes].
 
     Raises:
-        InvalidInput: Something among them does not travel.
+        InvalidInput: A value does not travel.
     """
     parts: list[memoryview] = []
     end = 0
 
-    def extension(value: object) -> Any:
+    def extension(array: NDArray[Any]) -> msgpack.Ext:
         nonlocal end
-        if isinstance(value, np.ndarray):
-            array = np.ascontiguousarray(value).reshape(value.shape)
-            if array.dtype.str not in DTYPES:
-                raise InvalidInput(
-                    f"An array of dtype {array.dtype} does not travel; valid: {', '.join(sorted(DTYPES))}."
-                )
-            if gap := -end % ALIGNMENT:
-                parts.append(memoryview(bytes(gap)))
-            start = end + gap
-            if array.nbytes:
-                parts.append(array.reshape(-1).view(np.uint8).data)
-            end = start + array.nbytes
-            return msgpack.ExtType(ARRAY, msgpack.packb([array.dtype.str, list(array.shape), start]))
-        if isinstance(value, (np.generic,)) and value.dtype.kind in "biuf":
-            return value.item()
-        raise InvalidInput(f"{type(value).__name__} does not travel; valid are plain values and NumPy arrays.")
+        array = np.ascontiguousarray(array).reshape(array.shape)
+        if gap := -end % ALIGNMENT:
+            parts.append(memoryview(bytes(gap)))
+        start = end + gap
+        if array.nbytes:
+            parts.append(array.reshape(-1).view(np.uint8).data)
+        end = start + array.nbytes
+        return msgpack.Ext(ARRAY, msgpack.encode([array.dtype.str, array.shape, start]))
 
-    try:
-        header: Any = msgpack.packb(values, default=extension)
-    except (TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, InvalidInput):
-            raise
-        raise InvalidInput(f"This does not travel: {error}.") from error
+    header = encode(values, extension, lambda number: number.item())
     return header, parts, end
 
 
-def unpack(header: bytes | bytearray | memoryview, body: Any) -> Any:
+def encode(values: Any, of_array: Callable[[NDArray[Any]], Any], of_number: Callable[[np.generic], Any]) -> bytes:
+    """Return values as msgpack.
+
+    Args:
+        values: Plain values and NumPy arrays and numbers.
+        of_array: Returns the plain values that stand for an array.
+        of_number: Returns the plain values that stand for a number of NumPy.
+
+    Raises:
+        InvalidInput: A value does not travel.
+    """
+
+    def hook(value: object) -> Any:
+        if not isinstance(value, (np.ndarray, np.generic)):
+            raise InvalidInput(f"{type(value).__name__} does not travel; valid are plain values and NumPy arrays.")
+        if value.dtype.str not in DTYPES:
+            raise InvalidInput(f"An array of dtype {value.dtype} does not travel; valid: {', '.join(sorted(DTYPES))}.")
+        return of_array(value) if isinstance(value, np.ndarray) else of_number(value)
+
+    try:
+        return msgpack.encode(values, enc_hook=hook)
+    except InvalidInput:
+        raise
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise InvalidInput(f"This does not travel: {error}.") from error
+
+
+def unpack(header: bytes | bytearray | memoryview, body: Any) -> dict[str, Any]:
     """Put a message together again; its large arrays are views of the body, small ones are copies.
 
     Args:
@@ -77,54 +92,67 @@ def unpack(header: bytes | bytearray | memoryview, body: Any) -> Any:
         body: A buffer with the bytes of the arrays.
 
     Raises:
-        BadMessage: It is none.
+        BadMessage: The two are no message.
     """
     size = len(body)
     raw = np.frombuffer(body, np.uint8) if size else np.zeros(0, np.uint8)
     total = 0
 
-    def extension(code: int, data: bytes) -> Any:
+    def extension(code: int, data: memoryview) -> Any:
         nonlocal total
         if code != ARRAY:
             raise BadMessage(f"The header has an extension of code {code}; valid is {ARRAY}.")
-        described = msgpack.unpackb(data)
-        if not (isinstance(described, list) and len(described) == 3):
+        described = msgpack.decode(data)
+        if not (isinstance(described, list) and len(described) == 3 and _is_whole(described[2])):
             raise BadMessage("An array is not described by [dtype, shape, offset].")
-        array = _view(raw, *described)
-        total += array.nbytes
+        dtype, shape, offset = described
+        length = bytes_of(dtype, shape)
+        if offset + length > size:
+            raise BadMessage(f"An array of {length} bytes at {offset} does not lie in a body of {size} bytes.")
+        total += length
         if total > size:  # or a short header could have the same bytes be copied any number of times
             raise BadMessage(f"The arrays have more than the {size} bytes of the body: some lie in others.")
-        # Whoever keeps a small one does not keep the whole body.
-        return array if array.nbytes >= SMALL else array.copy()
+        array = array_of(raw[offset : offset + length], dtype, shape)
+        # A small array that is kept does not keep the whole body.
+        return array if length >= SMALL else array.copy()
 
     try:
-        return msgpack.unpackb(header, ext_hook=extension, strict_map_key=True)
+        return msgpack.decode(header, type=dict[str, Any], ext_hook=extension)
     except BadMessage:
         raise
-    except Exception as error:  # whatever msgpack raises for what is no msgpack
+    except Exception as error:  # whatever msgspec raises for other bytes
         raise BadMessage(f"The header is no msgpack: {type(error).__name__}: {error}.") from error
 
 
-def _view(raw: np.ndarray[Any, Any], dtype: object, shape: object, offset: object) -> np.ndarray[Any, Any]:
-    if dtype not in DTYPES:
+def bytes_of(dtype: object, shape: object) -> int:
+    """Return how many bytes an array has.
+
+    Raises:
+        BadMessage: Such an array does not travel.
+    """
+    if not isinstance(dtype, str) or dtype not in DTYPES:
         raise BadMessage(f"An array has the dtype {dtype!r:.40}; valid: {', '.join(sorted(DTYPES))}.")
-    if not _is_whole(offset):
-        raise BadMessage(f"An array begins at {offset!r:.40}; valid is a whole number from 0.")
     if not isinstance(shape, list) or len(shape) > MOST_AXES or not all(_is_whole(n) for n in shape):
         raise BadMessage(f"An array has the shape {shape!r:.80}; valid are up to {MOST_AXES} whole numbers from 0.")
+    return math.prod(shape) * np.dtype(dtype).itemsize
+
+
+def array_of(data: Any, dtype: object, shape: object) -> NDArray[Any]:
+    """Return the array that lies in a buffer, without a copy.
+
+    Raises:
+        BadMessage: Such an array does not travel, or the buffer has another length.
+    """
+    length = bytes_of(dtype, shape)
+    if len(data) != length:
+        raise BadMessage(f"An array of shape {shape} has {len(data)} bytes of {dtype}; valid are {length}.")
+    axes: Any = shape
     kind = np.dtype(str(dtype))
-    length = math.prod(shape) * kind.itemsize
-    if offset + length > raw.size:  # type: ignore[operator]
-        raise BadMessage(f"An array of {length} bytes at {offset} does not lie in a body of {raw.size} bytes.")
-    if length == 0:
-        return np.zeros([min(n, 1 << 31) for n in shape], kind) if math.prod(shape) == 0 else np.zeros(shape, kind)
-    return raw[offset : offset + length].view(kind).reshape(shape)  # type: ignore[operator]
+    try:
+        return np.frombuffer(data, kind).reshape(axes) if length else np.zeros([min(n, 1 << 31) for n in axes], kind)
+    except ValueError as error:
+        raise BadMessage(f"An array has the shape {shape}: {error}.") from error
 
 
 def _is_whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 48
-
-
-def body_of(parts: Sequence[memoryview]) -> bytes:
-    """Return the parts of a body as one."""
-    return b"".join(parts)

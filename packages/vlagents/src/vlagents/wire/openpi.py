@@ -11,18 +11,18 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
-import msgpack
 import numpy as np
+from numpy.typing import NDArray
 
 from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, InvalidInput
 from vlagents.observation import Observation
 from vlagents.wire import bulk
 from vlagents.wire.bulk import LARGE
-from vlagents.wire.message import DTYPES, MOST_AXES
+from vlagents.wire.message import DTYPES, array_of, encode
 
 OWN = "vlagents"
-"""Key of what openpi does not have: session, times, and calls other than for actions. Both sides of ours use it."""
+"""Key of our additions, which both sides of ours use: session, time, and calls other than for actions."""
 PROMPT = "prompt"
 ACTIONS = "actions"
 ARRAY_HEAD = b"\x84\xc4\x0b__ndarray__\xc3\xc4\x04data"
@@ -35,27 +35,23 @@ def pack(values: Any) -> bytes:
     """Return values as openpi sends them.
 
     Raises:
-        InvalidInput: Something among them does not travel.
+        InvalidInput: A value does not travel.
     """
-    try:
-        data: Any = msgpack.packb(values, default=_to_map)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidInput(f"This does not travel: {error}") from error
-    return data
+    return encode(values, _array_to_map, _number_to_map)
 
 
 def pack_parts(values: Mapping[str, Any]) -> list[bytes | memoryview]:
     """Return values as openpi sends them, in parts: large arrays of the outermost dictionary are not copied.
 
     Raises:
-        InvalidInput: Something among them does not travel.
+        InvalidInput: A value does not travel.
     """
     parts: list[bytes | memoryview] = []
-    small = [msgpack.Packer().pack_map_header(len(values))]
+    small = [bytes([0x80 | len(values)]) if len(values) < 16 else struct.pack(">BH", 0xDE, len(values))]
     for name, value in values.items():
         small.append(pack(name))
-        if isinstance(value, np.ndarray) and value.nbytes >= LARGE:
-            as_map = _to_map(value)
+        if isinstance(value, np.ndarray) and value.nbytes >= LARGE and value.dtype.str in DTYPES:
+            as_map = _array_to_map(value)
             data = as_map[b"data"]
             parts += [b"".join([*small, ARRAY_HEAD, struct.pack(">BI", 0xC6, len(data))]), data]
             small = [pack(b"dtype"), pack(as_map[b"dtype"]), pack(b"shape"), pack(as_map[b"shape"])]
@@ -65,10 +61,10 @@ def pack_parts(values: Mapping[str, Any]) -> list[bytes | memoryview]:
 
 
 def unpack(data: bytes | memoryview) -> Any:
-    """Read what openpi sent. Large arrays lie in the data; all can be written if the data can.
+    """Read a message of openpi. Large arrays are views of the data; all are writable if the data is.
 
     Raises:
-        BadMessage: It is none of its messages, or what is no large array has more than `LARGEST_HEADER` bytes.
+        BadMessage: It is no such message, or has more than `LARGEST_HEADER` bytes beside its large arrays.
     """
     return bulk.unpack(data, _from_map)
 
@@ -77,7 +73,7 @@ def observation_to_flat(observation: Observation) -> dict[str, Any]:
     """Return an observation as a flat dictionary, with the names of images and parts as keys.
 
     Raises:
-        InvalidInput: It has what openpi does not know: compressed pictures or goals.
+        InvalidInput: It has goals, which openpi does not know, or two inputs of the same name.
     """
     flat: dict[str, Any] = {name: observation.image(name) for name in observation.images}
     if observation.goals:
@@ -92,12 +88,12 @@ def observation_to_flat(observation: Observation) -> dict[str, Any]:
 
 
 def observation_from_flat(given: object, session: str = "", time: float = 0.0) -> Observation:
-    """Read an observation: bytes with three axes are pictures, numbers with one are state, `prompt` is the instruction.
+    """Read an observation: bytes with three axes are images, numbers with one are state, `prompt` is the instruction.
 
-    Dictionaries inside become names with a slash between; pictures with the channels first are turned.
+    Names in nested dictionaries are joined by slashes; images with the channels first are transposed.
 
     Raises:
-        InvalidInput: Something is none of these.
+        InvalidInput: A value is none of these.
     """
     images: dict[str, Any] = {}
     state: dict[str, Any] = {}
@@ -116,7 +112,7 @@ def observation_from_flat(given: object, session: str = "", time: float = 0.0) -
             state[name] = np.atleast_1d(array)
         else:
             raise InvalidInput(
-                f"{name!r} is {array.dtype} of shape {array.shape}; valid are pictures (height, width, 3) of uint8 and "
+                f"{name!r} is {array.dtype} of shape {array.shape}; valid are images (height, width, 3) of uint8 and "
                 "numbers (n,)."
             )
     return Observation(images=images, state=state, instruction=instruction, session=session, time=time)
@@ -128,49 +124,37 @@ def chunk_from_flat(given: object, period: float, time: float) -> Chunk:
     Raises:
         BadMessage: It has no valid actions.
     """
-    actions = given.get(ACTIONS) if isinstance(given, Mapping) else None
+    found = given if isinstance(given, Mapping) else {}
+    actions, timing = found.get(ACTIONS), found.get("server_timing")
     if not isinstance(actions, np.ndarray):
         raise BadMessage(f"The answer has no array {ACTIONS!r}.")
-    assert isinstance(given, Mapping)
-    timing = given.get("server_timing")
-    info = (
-        {k: float(v) for k, v in timing.items() if isinstance(v, (int, float))} if isinstance(timing, Mapping) else {}
-    )
+    times = timing.items() if isinstance(timing, Mapping) else ()
+    info = {name: float(value) for name, value in times if isinstance(value, (int, float))}
     try:
         return Chunk(np.array(actions, np.float64).reshape(-1, actions.shape[-1]), period, time, info)
     except (InvalidInput, ValueError, IndexError) as error:
         raise BadMessage(f"The answer is no chunk: {error}") from error
 
 
-def _to_map(value: object) -> Any:
-    if isinstance(value, np.ndarray):
-        if value.dtype.str not in DTYPES:
-            raise InvalidInput(f"An array of dtype {value.dtype} does not travel; valid: {', '.join(sorted(DTYPES))}.")
-        data = np.ascontiguousarray(value).reshape(-1).view(np.uint8).data if value.size else b""
-        return {b"__ndarray__": True, b"data": data, b"dtype": value.dtype.str, b"shape": value.shape}
-    if isinstance(value, np.generic):
-        if value.dtype.str not in DTYPES:
-            raise InvalidInput(f"A number of dtype {value.dtype} does not travel.")
-        return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
-    raise InvalidInput(f"{type(value).__name__} does not travel; valid are plain values and NumPy arrays.")
+def _array_to_map(array: NDArray[Any]) -> dict[bytes, Any]:
+    data = np.ascontiguousarray(array).reshape(-1).view(np.uint8).data if array.size else b""
+    return {b"__ndarray__": True, b"data": data, b"dtype": array.dtype.str, b"shape": array.shape}
+
+
+def _number_to_map(number: np.generic) -> Any:
+    return {b"__npgeneric__": True, b"data": number.item(), b"dtype": number.dtype.str}
 
 
 def _from_map(found: dict[Any, Any]) -> Any:
     if b"__ndarray__" in found:
-        data, dtype, shape = found.get(b"data"), found.get(b"dtype"), found.get(b"shape")
-        if dtype not in DTYPES or not isinstance(data, (bytes, memoryview)):
-            raise BadMessage(f"An array has the dtype {dtype!r:.40}; valid: {', '.join(sorted(DTYPES))}.")
-        axes: list[Any] = list(shape) if isinstance(shape, (list, tuple)) else [None]
-        if len(axes) > MOST_AXES or not all(type(n) is int and 0 <= n < 1 << 40 for n in axes):
-            raise BadMessage(f"An array has the shape {shape!r:.80}; valid are up to {MOST_AXES} whole numbers from 0.")
-        try:
-            array = np.frombuffer(data, np.dtype(dtype)).reshape(axes)
-            return array.copy() if isinstance(data, bytes) else array
-        except ValueError as error:
-            raise BadMessage(f"An array of shape {shape} has {len(data)} bytes of {dtype}: {error}.") from error
+        data = found.get(b"data")
+        if not isinstance(data, (bytes, memoryview)):
+            raise BadMessage(f"An array has {type(data).__name__} as data; valid are bytes.")
+        array = array_of(data, found.get(b"dtype"), found.get(b"shape"))
+        return array.copy() if isinstance(data, bytes) else array
     if b"__npgeneric__" in found:
         dtype, value = found.get(b"dtype"), found.get(b"data")
-        if dtype not in DTYPES or not isinstance(value, (int, float)):
+        if not isinstance(dtype, str) or dtype not in DTYPES or not isinstance(value, (int, float)):
             raise BadMessage(f"A number has the dtype {dtype!r:.40} and the value {value!r:.40}.")
         try:
             return np.dtype(dtype).type(value)

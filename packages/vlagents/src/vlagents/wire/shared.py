@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.errors import BadMessage
-from vlagents.wire.deadline import Deadline
-from vlagents.wire.link import Link
+from vlagents.wire.link import Deadline, Link
 from vlagents.wire.message import pack, unpack
 from vlagents.wire.stream import LARGEST_BODY, PREFIX, StreamChannel
 

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
-from vlagents.wire.deadline import Deadline
-from vlagents.wire.link import AHEAD, Link
+from vlagents.wire.link import AHEAD, Deadline, Link
 from vlagents.wire.message import pack, unpack
 
 MAGIC = b"VLA1"

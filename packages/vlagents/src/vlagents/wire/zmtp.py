@@ -15,8 +15,7 @@ from collections.abc import Generator
 import numpy as np
 
 from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
-from vlagents.wire.deadline import Deadline
-from vlagents.wire.link import Link
+from vlagents.wire.link import Deadline, Link
 from vlagents.wire.stream import LARGEST_BODY
 
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)

@@ -1,4 +1,4 @@
-"""What clients of other servers share: those tell little about their policies, so whoever asks must know it."""
+"""The part that clients of other projects' servers share: these say little about their policies, so the user does."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, InvalidInput, Mismatch
 from vlagents.metadata import Metadata, Offer, differences
 from vlagents.observation import Observation
-from vlagents.policy import Policy
+from vlagents.policies.sessions import SessionPolicy
+from vlagents.record import positive
 
 
-class Asked(Policy):
-    """Asks a server of another kind. One that is late or goes leaves nothing behind: the next call begins anew."""
+class ForeignClient(SessionPolicy[None]):
+    """Calls a server of another project. After one that is late or gone, the next call connects again."""
 
     def __init__(
         self,
@@ -30,60 +31,49 @@ class Asked(Policy):
         offer: Offer | None = None,
         metadata: Metadata | None = None,
         period: float | None = None,
+        certificate: None = None,
     ) -> None:
-        """Set what the server does not tell; a subclass connects.
+        """Set what the server does not say; a subclass connects.
 
         Args:
             address: Where the server is.
             timeout: How long an answer may take [s].
-            token: What it wants to hear.
+            token: The server's secret.
             offer: What the robot shows and takes; None to compare nothing.
-            metadata: What the policy needs and gives; without, whatever comes is taken.
+            metadata: What the policy needs and gives; without it, any actions are accepted.
             period: Time that each row of a chunk is for [s], where the metadata have no rate.
+            certificate: None; these wires have no TLS.
 
         Raises:
             InvalidInput: An option is wrong, or there is no period.
             Mismatch: Robot and policy do not fit.
         """
-        if not (isinstance(timeout, (int, float)) and 0 < timeout < float("inf")):
-            raise InvalidInput(f"timeout is {timeout!r}; valid is a number of seconds above 0.")
+        if certificate is not None:
+            raise InvalidInput(f"{address} has no TLS; leave out the certificate.")
         self.address: Address = parse(address)
-        self.timeout = float(timeout)
+        self.timeout = positive("timeout", timeout)
         """How long an answer may take [s]."""
         self._token = token
-        self._metadata = metadata or Metadata(name=self.address.scheme, action=())
+        super().__init__(metadata or Metadata(name=self.address.scheme, action=()))
         rate = self._metadata.rate
         if period is None and rate <= 0:
-            raise InvalidInput(f"{address} does not tell what time an action is for; give `period`, or a rate.")
+            raise InvalidInput(f"{address} does not say what time an action is for; give `period`, or a rate.")
         self._period = 1.0 / rate if period is None else float(period)
         if offer is not None and self._metadata.action and (found := differences(self._metadata, offer)):
             raise Mismatch(found)
         self._lock = threading.Lock()
-        self._told: dict[str, str] = {}
-
-    def metadata(self) -> Metadata:
-        """Return what was given."""
-        return self._metadata
-
-    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Remember what is to be done in a session."""
-        self._told[session] = instruction
-
-    def forget(self, session: str) -> None:
-        """Let go of a session's instruction."""
-        self._told.pop(session, None)
 
     def infer(self, observation: Observation) -> Chunk:
         """Return the policy's chunk for an observation.
 
         Raises:
-            ConnectionLost: Nobody is there, or the server has gone.
+            ConnectionLost: No server is there, or it has gone.
             DeadlineExceeded: It did not answer in time.
             InvalidInput: The observation is not what this wire takes.
-            BadMessage: The answer is none.
-            PolicyFailed: The server says that it failed.
+            BadMessage: The answer is no chunk.
+            PolicyFailed: The policy failed.
         """
-        instruction = observation.instruction or self._told.get(observation.session, "")
+        instruction = observation.instruction or self._session(observation).instruction
         with self._lock:
             actions = self._ask(observation, instruction)
         size = self._metadata.size
@@ -103,7 +93,7 @@ def side_by_side(parts: Mapping[str, Any], metadata: Metadata, address: object) 
     """Return parts of actions, (horizon, size) each, as the columns of one array, in the order of the metadata.
 
     Raises:
-        BadMessage: One is missing, or is no such array.
+        BadMessage: A part is missing, or is no such array.
     """
     names = [part.name for part in metadata.action] or list(parts)
     columns = []

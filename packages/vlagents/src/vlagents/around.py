@@ -1,4 +1,4 @@
-"""Pictures of the size that a policy needs, whatever the cameras have."""
+"""Policies around a policy: `Around` passes everything on, `Resized` changes the size of images."""
 
 from __future__ import annotations
 
@@ -7,11 +7,39 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vlagents.around.around import Around
 from vlagents.chunk import Chunk
 from vlagents.jpeg import Jpeg
 from vlagents.metadata import ImageSpec, Metadata
 from vlagents.observation import Observation
+from vlagents.policy import Policy
+
+
+class Around(Policy):
+    """Passes every call on to another policy; a subclass changes what it is about."""
+
+    def __init__(self, inside: Policy) -> None:
+        """Wrap a policy; it is closed with this one."""
+        self.inside = inside
+
+    def metadata(self) -> Metadata:
+        """Return the metadata of the policy inside."""
+        return self.inside.metadata()
+
+    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
+        """Begin an episode inside."""
+        self.inside.reset(session, instruction, seed=seed)
+
+    def infer(self, observation: Observation) -> Chunk:
+        """Return the chunk of the policy inside."""
+        return self.inside.infer(observation)
+
+    def forget(self, session: str) -> None:
+        """Have the policy inside forget a session."""
+        self.inside.forget(session)
+
+    def close(self) -> None:
+        """Close the policy inside."""
+        self.inside.close()
 
 
 class Resized(Around):

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from vlagents.around.around import Around
+from vlagents.around import Around
 from vlagents.chunk import Chunk
 from vlagents.errors import InvalidInput
 from vlagents.observation import Observation

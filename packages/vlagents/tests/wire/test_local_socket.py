@@ -12,18 +12,16 @@ import threading
 from pathlib import Path
 
 import pytest
-from vlagents import Observation
-from vlagents.address import socket_folder
-from vlagents.client import Client
+from vlagents import Client, Observation, Server
 from vlagents.policies.random import RandomPolicy
-from vlagents.server import Server
+from vlagents.wire.local_socket import socket_folder
 from vlagents.wire.shared import is_supported
 
 pytestmark = pytest.mark.skipif(not is_supported(), reason="needs shared memory without a name")
 
 SERVE = """
 from vlagents.policies.random import RandomPolicy
-from vlagents.server import Server
+from vlagents import Server
 with Server(RandomPolicy(), port=0) as server:
     print(server.address, flush=True)
     server.serve_forever()

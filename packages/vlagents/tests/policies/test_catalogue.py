@@ -7,40 +7,40 @@ import pytest
 from vlagents import InvalidInput
 from vlagents.cli.main import main
 from vlagents.errors import MissingStack
-from vlagents.policies import catalogue, recipes
+from vlagents.policies import catalogue
 
 STACKLESS = {"random", "replay", "scripted"}
 """Policies that need nothing but this package."""
 
 
 def test_every_family_has_a_recipe() -> None:
-    assert set(catalogue.BUILT_IN) - STACKLESS <= {*recipes.names(), *recipes.SHARED}
-    assert recipes.read("act") == recipes.read("lerobot")
+    assert set(catalogue.BUILT_IN) - STACKLESS <= {*catalogue.recipes(), *catalogue.FAMILIES}
+    assert catalogue.recipe("act") == catalogue.recipe("lerobot")
 
 
-@pytest.mark.parametrize("family", recipes.names())
+@pytest.mark.parametrize("family", catalogue.recipes())
 def test_a_recipe_is_a_script_that_pins_versions_and_names_no_host(family: str) -> None:
-    script = recipes.read(family)
+    script = catalogue.recipe(family)
     subprocess.run(["sh", "-n"], input=script, text=True, check=True)
     assert f"vlagents recipe {family} | sh -s -- FOLDER" in " ".join(script.replace("#", " ").split())
     assert "3.11" in script
     assert not re.search(r"https?://|git\+|--index-url|--extra-index-url|\.org|\.com", script)
 
 
-@pytest.mark.parametrize("family", recipes.names())
+@pytest.mark.parametrize("family", catalogue.recipes())
 def test_a_recipe_without_a_folder_says_so_and_makes_nothing(family: str) -> None:
-    done = subprocess.run(["sh", "-s"], input=recipes.read(family), text=True, capture_output=True, check=False)
+    done = subprocess.run(["sh", "-s"], input=catalogue.recipe(family), text=True, capture_output=True, check=False)
     assert done.returncode != 0
     assert "name the folder of the environment" in done.stderr
 
 
 def test_the_command_prints_a_recipe_and_proposes_a_near_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["recipe", "octo"]) == 0
-    assert capsys.readouterr().out == recipes.read("octo")
+    assert capsys.readouterr().out == catalogue.recipe("octo")
     assert main(["recipe", "octopus"]) == 1
     assert "Did you mean 'octo'?" in capsys.readouterr().err
     with pytest.raises(InvalidInput, match="openvla"):
-        recipes.read("../octo")
+        catalogue.recipe("../octo")
 
 
 @pytest.mark.parametrize(("family", "package"), [("octo", "octo"), ("openvla", "timm"), ("vjepa2_ac", "timm")])
