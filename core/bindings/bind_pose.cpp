@@ -291,19 +291,30 @@ void bind_pose(nb::module_& m) {
       [](const ArrayLike& a, const ArrayLike& b) {
         return map_pairs(a, b, {"a", "b"}, 7, [](const Pose& x, const Pose& y) { return (x * y).tquat(); });
       },
-      "a"_a, "b"_a, "a * b for arrays of poses, shape (..., 7).");
+      "a"_a, "b"_a, R"(Chain poses: those of C in A from those of B in A and C in B.
+
+Args:
+    a: Poses of B in A as tquat, shape (..., 7).
+    b: Poses of C in B as tquat, shape (..., 7).)");
   m.def(
       "inverse_tquat",
       [](const ArrayLike& a) {
         return map<7>(a, "a", {7}, {7}, [](const auto& row) { return Pose::from_tquat(row).inverse().tquat(); });
       },
-      "a"_a, "The inverse of each pose, shape (..., 7).");
+      "a"_a, R"(Invert poses: those of A in B from those of B in A.
+
+Args:
+    a: Poses of B in A as tquat, shape (..., 7).)");
   m.def(
       "relative_tquat",
       [](const ArrayLike& a, const ArrayLike& b) {
         return map_pairs(a, b, {"a", "b"}, 7, [](const Pose& x, const Pose& y) { return (x.inverse() * y).tquat(); });
       },
-      "a"_a, "b"_a, "inverse(a) * b for arrays of poses, shape (..., 7).");
+      "a"_a, "b"_a, R"(Express poses in the frames of others: inverse(a) composed with b.
+
+Args:
+    a: Poses of the new frames of reference as tquat, shape (..., 7).
+    b: Poses given in the same frame as `a`, as tquat, shape (..., 7).)");
   m.def(
       "interpolate_tquat",
       [](const ArrayLike& a, const ArrayLike& b, const ArrayLike& fraction) {
@@ -312,7 +323,16 @@ void bind_pose(nb::module_& m) {
           return from.pose(row).interpolate(to.pose(row), *part.at(row)).tquat();
         });
       },
-      "a"_a, "b"_a, "fraction"_a, "Poses, shape (..., 7), a fraction in [0, 1], shape (...), of the way from a to b.");
+      "a"_a, "b"_a, "fraction"_a,
+      R"(Interpolate between poses: straight line and shortest rotation, both at constant speed.
+
+Args:
+    a: Poses at fraction 0 as tquat, shape (..., 7).
+    b: Poses at fraction 1 as tquat, shape (..., 7).
+    fraction: Fractions in [0, 1], shape (...). Several fractions between two single poses make a path.
+
+Raises:
+    ValueError: A fraction is outside [0, 1].)");
   m.def(
       "limit_step_tquat",
       [](const ArrayLike& start, const ArrayLike& goal, double max_translation, double max_rotation) {
@@ -321,14 +341,28 @@ void bind_pose(nb::module_& m) {
         });
       },
       "start"_a, "goal"_a, "max_translation"_a, "max_rotation"_a,
-      "The poses nearest to the goals within a distance [m] and an angle [rad] of the starts, shape (..., 7).");
+      R"(Move from start towards goal within limits on translation and on rotation.
+
+Args:
+    start: Poses to start from as tquat, shape (..., 7).
+    goal: Poses to reach as tquat, shape (..., 7); returned unchanged if within both limits.
+    max_translation: Longest distance from start [m], at least 0; infinity for no limit.
+    max_rotation: Largest angle from start [rad], at least 0; infinity for no limit.
+
+Raises:
+    ValueError: A limit is below 0 or NaN.)");
   m.def(
       "distance_tquat",
       [](const ArrayLike& a, const ArrayLike& b) {
         return map_pairs(a, b, {"a", "b"}, 2,
                          [](const Pose& x, const Pose& y) { return std::array{x.distance_to(y), x.angle_to(y)}; });
       },
-      "a"_a, "b"_a, "Distance [m] and angle [rad] between poses, shape (..., 2).");
+      "a"_a, "b"_a,
+      R"(Measure how far poses are apart: distance of the origins [m] and angle of the rotation [rad], shape (..., 2).
+
+Args:
+    a: Poses as tquat, shape (..., 7).
+    b: Poses as tquat, shape (..., 7).)");
   m.def(
       "normalize_tquat",
       [](const ArrayLike& tquat) {
@@ -336,35 +370,62 @@ void bind_pose(nb::module_& m) {
           return Pose({row[0], row[1], row[2]}, rcs::normalize_quaternion({row[3], row[4], row[5], row[6]})).tquat();
         });
       },
-      "tquat"_a, "The same poses with unit quaternions and w >= 0, shape (..., 7).");
+      "tquat"_a, R"(Normalize quaternions of any length to norm 1 and w >= 0, for numbers from a policy or file.
+
+Args:
+    tquat: Translations [m] and quaternions xyzw of any length but 0, shape (..., 7).
+
+Raises:
+    ValueError: All components of a quaternion are below 1e-9, so it has no direction.)");
   m.def(
       "tquat_to_xyzrpy",
       [](const ArrayLike& tquat) {
         return map<7>(tquat, "tquat", {7}, {6}, [](const auto& row) { return Pose::from_tquat(row).xyzrpy(); });
       },
-      "tquat"_a, "Shape (..., 7) to (..., 6).");
+      "tquat"_a, R"(Convert quaternions to roll, pitch, yaw: roll and yaw in (-pi, pi], pitch in [-pi/2, pi/2].
+
+Args:
+    tquat: Poses, shape (..., 7). If pitch is ±pi/2, roll is chosen as 0.)");
   m.def(
       "xyzrpy_to_tquat",
       [](const ArrayLike& xyzrpy) {
         return map<6>(xyzrpy, "xyzrpy", {6}, {7}, [](const auto& row) { return Pose::from_xyzrpy(row).tquat(); });
       },
-      "xyzrpy"_a, "Shape (..., 6) to (..., 7).");
+      "xyzrpy"_a, R"(Convert roll, pitch, yaw to quaternions.
+
+Args:
+    xyzrpy: Poses, shape (..., 6), with angles of any size.)");
   m.def(
       "tquat_to_matrix",
       [](const ArrayLike& tquat) {
         return map<7>(tquat, "tquat", {7}, {4, 4}, [](const auto& row) { return Pose::from_tquat(row).matrix(); });
       },
-      "tquat"_a, "Shape (..., 7) to (..., 4, 4).");
+      "tquat"_a, R"(Convert poses to homogeneous matrices, shape (..., 4, 4).
+
+Args:
+    tquat: Poses, shape (..., 7).)");
   m.def(
       "matrix_to_tquat",
       [](const ArrayLike& matrix) {
         return map<16>(matrix, "matrix", {4, 4}, {7}, [](const auto& row) { return Pose::from_matrix(row).tquat(); });
       },
-      "matrix"_a, "Shape (..., 4, 4) to (..., 7).");
+      "matrix"_a, R"(Convert homogeneous matrices to poses, shape (..., 7).
+
+Args:
+    matrix: Rotations and translations [m] above the row (0, 0, 0, 1), shape (..., 4, 4).
+
+Raises:
+    ValueError: A matrix is more than 1e-6 off a rotation.)");
   m.def(
       "wxyz_to_xyzw", [](const ArrayLike& wxyz) { return map<4>(wxyz, "wxyz", {4}, {4}, rcs::wxyz_to_xyzw); }, "wxyz"_a,
-      "MuJoCo's quaternion order to that of this library, shape (..., 4).");
+      R"(Reorder quaternions of MuJoCo; the numbers stay as they are.
+
+Args:
+    wxyz: Quaternions with the scalar first, shape (..., 4).)");
   m.def(
       "xyzw_to_wxyz", [](const ArrayLike& xyzw) { return map<4>(xyzw, "xyzw", {4}, {4}, rcs::xyzw_to_wxyz); }, "xyzw"_a,
-      "This library's quaternion order to that of MuJoCo, shape (..., 4).");
+      R"(Reorder quaternions for MuJoCo; the numbers stay as they are.
+
+Args:
+    xyzw: Quaternions with the scalar last, shape (..., 4).)");
 }

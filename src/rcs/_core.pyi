@@ -126,47 +126,128 @@ class Pose:
     def __reduce__(self) -> tuple: ...
 
 def compose_tquat(a: numpy.typing.ArrayLike, b: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
-    """a * b for arrays of poses, shape (..., 7)."""
+    """
+    Chain poses: those of C in A from those of B in A and C in B.
+
+    Args:
+        a: Poses of B in A as tquat, shape (..., 7).
+        b: Poses of C in B as tquat, shape (..., 7).
+    """
 
 def inverse_tquat(a: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
-    """The inverse of each pose, shape (..., 7)."""
+    """
+    Invert poses: those of A in B from those of B in A.
+
+    Args:
+        a: Poses of B in A as tquat, shape (..., 7).
+    """
 
 def relative_tquat(a: numpy.typing.ArrayLike, b: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
-    """inverse(a) * b for arrays of poses, shape (..., 7)."""
+    """
+    Express poses in the frames of others: inverse(a) composed with b.
+
+    Args:
+        a: Poses of the new frames of reference as tquat, shape (..., 7).
+        b: Poses given in the same frame as `a`, as tquat, shape (..., 7).
+    """
 
 def interpolate_tquat(a: numpy.typing.ArrayLike, b: numpy.typing.ArrayLike, fraction: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
     """
-    Poses, shape (..., 7), a fraction in [0, 1], shape (...), of the way from a to b.
+    Interpolate between poses: straight line and shortest rotation, both at constant speed.
+
+    Args:
+        a: Poses at fraction 0 as tquat, shape (..., 7).
+        b: Poses at fraction 1 as tquat, shape (..., 7).
+        fraction: Fractions in [0, 1], shape (...). Several fractions between two single poses make a path.
+
+    Raises:
+        ValueError: A fraction is outside [0, 1].
     """
 
 def limit_step_tquat(start: numpy.typing.ArrayLike, goal: numpy.typing.ArrayLike, max_translation: float, max_rotation: float) -> numpy.typing.NDArray[numpy.float64]:
     """
-    The poses nearest to the goals within a distance [m] and an angle [rad] of the starts, shape (..., 7).
+    Move from start towards goal within limits on translation and on rotation.
+
+    Args:
+        start: Poses to start from as tquat, shape (..., 7).
+        goal: Poses to reach as tquat, shape (..., 7); returned unchanged if within both limits.
+        max_translation: Longest distance from start [m], at least 0; infinity for no limit.
+        max_rotation: Largest angle from start [rad], at least 0; infinity for no limit.
+
+    Raises:
+        ValueError: A limit is below 0 or NaN.
     """
 
 def distance_tquat(a: numpy.typing.ArrayLike, b: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
-    """Distance [m] and angle [rad] between poses, shape (..., 2)."""
+    """
+    Measure how far poses are apart: distance of the origins [m] and angle of the rotation [rad], shape (..., 2).
+
+    Args:
+        a: Poses as tquat, shape (..., 7).
+        b: Poses as tquat, shape (..., 7).
+    """
 
 def normalize_tquat(tquat: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
-    """The same poses with unit quaternions and w >= 0, shape (..., 7)."""
+    """
+    Normalize quaternions of any length to norm 1 and w >= 0, for numbers from a policy or file.
+
+    Args:
+        tquat: Translations [m] and quaternions xyzw of any length but 0, shape (..., 7).
+
+    Raises:
+        ValueError: All components of a quaternion are below 1e-9, so it has no direction.
+    """
 
 def tquat_to_xyzrpy(tquat: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
-    """Shape (..., 7) to (..., 6)."""
+    """
+    Convert quaternions to roll, pitch, yaw: roll and yaw in (-pi, pi], pitch in [-pi/2, pi/2].
+
+    Args:
+        tquat: Poses, shape (..., 7). If pitch is ±pi/2, roll is chosen as 0.
+    """
 
 def xyzrpy_to_tquat(xyzrpy: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
-    """Shape (..., 6) to (..., 7)."""
+    """
+    Convert roll, pitch, yaw to quaternions.
+
+    Args:
+        xyzrpy: Poses, shape (..., 6), with angles of any size.
+    """
 
 def tquat_to_matrix(tquat: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
-    """Shape (..., 7) to (..., 4, 4)."""
+    """
+    Convert poses to homogeneous matrices, shape (..., 4, 4).
+
+    Args:
+        tquat: Poses, shape (..., 7).
+    """
 
 def matrix_to_tquat(matrix: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
-    """Shape (..., 4, 4) to (..., 7)."""
+    """
+    Convert homogeneous matrices to poses, shape (..., 7).
+
+    Args:
+        matrix: Rotations and translations [m] above the row (0, 0, 0, 1), shape (..., 4, 4).
+
+    Raises:
+        ValueError: A matrix is more than 1e-6 off a rotation.
+    """
 
 def wxyz_to_xyzw(wxyz: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
-    """MuJoCo's quaternion order to that of this library, shape (..., 4)."""
+    """
+    Reorder quaternions of MuJoCo; the numbers stay as they are.
+
+    Args:
+        wxyz: Quaternions with the scalar first, shape (..., 4).
+    """
 
 def xyzw_to_wxyz(xyzw: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
-    """This library's quaternion order to that of MuJoCo, shape (..., 4)."""
+    """
+    Reorder quaternions for MuJoCo; the numbers stay as they are.
+
+    Args:
+        xyzw: Quaternions with the scalar last, shape (..., 4).
+    """
 
 class Device:
     """

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from rcs import spatial
-from rcs.spatial import FloatArray, Pose
+from rcs.spatial import Pose
+
+Floats = np.ndarray
 
 
-def random_tquats(*leading: int, seed: int = 0) -> FloatArray:
+def random_tquats(*leading: int, seed: int = 0) -> Floats:
     rng = np.random.default_rng(seed)
     return spatial.normalize(rng.normal(size=(*leading, 7)))
 
@@ -34,7 +36,7 @@ B = random_tquats(20, seed=2)
     ],
 )
 def test_a_batch_is_the_loop_over_its_poses(
-    batched: Callable[[FloatArray, FloatArray], FloatArray], single: Callable[[Pose, Pose], FloatArray]
+    batched: Callable[[Floats, Floats], Floats], single: Callable[[Pose, Pose], Floats]
 ) -> None:
     loop = np.array([single(Pose.from_tquat(a), Pose.from_tquat(b)) for a, b in zip(A, B, strict=True)])
     np.testing.assert_array_equal(batched(A, B), loop)
@@ -166,6 +168,6 @@ def test_arguments_are_not_changed_and_results_are_new() -> None:
         (lambda: spatial.limit_step(A, B, 0.1, math.nan), "limits of a step must be 0 or more"),
     ],
 )
-def test_bad_input_is_refused_with_what_came_and_what_is_valid(call: Callable[[], FloatArray], message: str) -> None:
+def test_bad_input_is_refused_with_what_came_and_what_is_valid(call: Callable[[], Floats], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call()

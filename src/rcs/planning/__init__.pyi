@@ -7,6 +7,6 @@ from rcs.planning.planner import Planner as Planner
 from rcs.planning.search import PLANNERS as PLANNERS
 from rcs.planning.timed_path import Samples as Samples
 from rcs.planning.timed_path import TimedPath as TimedPath
+from rcs.planning.timed_path import minimum_jerk as minimum_jerk
 from rcs.planning.timing import JointLimits as JointLimits
-from rcs.planning.timing import minimum_jerk as minimum_jerk
 from rcs.planning.timing import time_path as time_path

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rcs._core import LineProfile
 from rcs.errors import InvalidSetup
@@ -26,9 +26,6 @@ SHORTEST = 1e-3
 """Bends shorter than this are not worth it; the path stops at their corner [rad]."""
 SAME = 1e-9
 """Waypoints nearer to each other than this are one [rad]."""
-
-MINIMUM_JERK_PEAK = 15 / 8
-"""Largest speed of `minimum_jerk` over its mean speed."""
 
 IsFree = Callable[[NDArray[np.float64]], bool]
 """Returns whether joints (n, dof), connected by straight lines, touch nothing."""
@@ -75,20 +72,6 @@ class JointLimits:
 
 
 _NAMES = ("velocity", "acceleration", "jerk")
-
-
-def minimum_jerk(fraction: ArrayLike) -> NDArray[np.float64]:
-    """Return the share of a path that is done after a fraction of its time, with the least jerk from rest to rest.
-
-    Of all such motions it has the least integral of the squared jerk; people move their hands so. Flash and Hogan, "The
-    coordination of arm movements", 1985. Its largest speed is 15/8 of the mean speed, its largest acceleration 10/√3 of
-    length over time squared.
-
-    Args:
-        fraction: Fractions of the time, any shape; those below 0 and above 1 count as 0 and 1.
-    """
-    x = np.clip(np.asarray(fraction, np.float64), 0.0, 1.0)
-    return x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 
 def time_path(path: Path, limits: JointLimits, *, bend: float = 0.5, is_free: IsFree | None = None) -> TimedPath:
