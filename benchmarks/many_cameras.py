@@ -39,9 +39,8 @@ from rcs.envs.parts import Parts
 from rcs.setups.lab import looking
 from rcs.setups.make import resolve
 from rcs.sim.camera import SimCameras
-from rcs.sim.camera_feed import CameraFeed
+from rcs.sim.camera_feed import CameraFeed, RenderThread
 from rcs.sim.frame_clock import FrameClock, FrameRate
-from rcs.sim.render_thread import RenderThread
 
 WIDTH, HEIGHT = 1280, 720
 VIEWS = {"left": (0.6, 0.8, 0.5), "right": (0.6, -0.8, 0.5), "front": (1.4, 0.0, 0.5), "above": (0.5, 0.1, 1.2)}

@@ -14,8 +14,8 @@ from rcs.robots.description import Mount
 from rcs.robots.realsense_d435.description import REALSENSE_D435
 from rcs.sim import CameraPlacement, World
 from rcs.sim.camera import FrameArrays, SimCameras, Snapshot
+from rcs.sim.camera_feed import RenderThread
 from rcs.sim.frame_clock import FrameClock, FrameRate
-from rcs.sim.render_thread import RenderThread
 from rcs.sim.scene import Scene
 
 pytestmark = pytest.mark.gl
@@ -201,7 +201,7 @@ def test_closing_ends_the_thread_and_twice_is_harmless(world: World) -> None:
     thread.read()
     thread.close()
     thread.close()
-    assert not [other for other in threading.enumerate() if other.name == "render cameras"]
+    assert not [other for other in threading.enumerate() if other.name.startswith("render cameras")]
 
 
 def test_many_copies_are_refused(model: mujoco.MjModel) -> None:

@@ -7,14 +7,13 @@ SplitMix64, computed for all copies at once.
 from __future__ import annotations
 
 import copy
-import zlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs.errors import InvalidSetup
-from rcs.sim.splitmix import GAMMA, mix, units
+from rcs.sim.splitmix import GAMMA, branch, mix, units
 
 SEED_LIMIT = 2**63
 """Seeds are from 0 to below this, the range of int64."""
@@ -56,8 +55,7 @@ class EpisodeRandom:
             name: Name of the streams; different names give different numbers.
         """
         own = copy.copy(self)
-        with np.errstate(over="ignore"):
-            own._start = own._state = mix(self._start ^ mix(np.array(zlib.crc32(name.encode()), np.uint64) + GAMMA))
+        own._start = own._state = branch(self._start, name)
         return own
 
     def uniform(self, low: ArrayLike, high: ArrayLike) -> NDArray[np.float64]:

@@ -100,8 +100,8 @@ def _render(maker: EpisodeMaker, episode: EpisodeRecord) -> RerenderResult:
         for i, state in enumerate(maker.transfer(states)):
             world.core.set_state(state)
             world.refresh()
-            # Cameras count control steps to know when a frame is due. The first row always has one.
-            world.core.steps[0] = round(float(world.time) * world.frequency) if i else 0
+            if scenario.frame_clock is not None:  # the first row always has a frame
+                scenario.frame_clock.steps = np.array([round(float(world.time) * world.frequency) if i else 0])
             made.add({**rows.at(i), **fresh.read(rows.capture_times(i))}, states[i])
         made.finish(episode.success, {**episode.outcome, **maker.outcome(episode)})
     return RerenderResult(episode_id=episode.id, rows=len(states))

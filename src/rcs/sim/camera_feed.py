@@ -1,11 +1,30 @@
-"""Delivers the frames of simulated cameras like devices: a new one when it is due, the last one in between."""
+"""Frames of simulated cameras, delivered as by devices: a new one when it is due, the last one in between.
+
+A `CameraFeed` draws within a step and a `RenderThread` beside it. `DelayedFrames` holds their frames back, as the bus
+and the driver of a real camera do.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+import threading
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
 
-from rcs.sim.camera import FrameArrays, SimCameras
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.errors import InvalidSetup
+from rcs.sim.camera import FrameArrays, SimCameras, Snapshot
 from rcs.sim.frame_clock import FrameClock
+from rcs.sim.pixels import PixelFeed
+from rcs.sim.splitmix import branch, numbered
+from rcs.sim.world import World
+
+ROUNDING = 1e-9
+"""Sums of physics steps are not exact; a frame that is due this much later has arrived [s]."""
 
 
 class CameraFeed:
@@ -68,3 +87,213 @@ class CameraFeed:
     def close(self) -> None:
         """Free the renderer. Closing twice is harmless; reading again makes a new one."""
         self._cameras.close()
+
+
+class RenderThread:
+    """The newest frame of every camera of a world of one copy, drawn by a thread beside a loop in real time.
+
+    A step in which frames are due costs the loop a copy of the state. A frame appears when it is drawn, with the time
+    of the state that it shows; where drawing is slower than the cameras' rate, the newest state is drawn next, and the
+    ones in between are skipped and counted. The model may change between episodes: frames that are drawn meanwhile are
+    never shown.
+    """
+
+    def __init__(self, cameras: SimCameras, clock: FrameClock) -> None:
+        """Deliver the frames of some cameras. The thread starts with the first `read`.
+
+        Args:
+            cameras: They draw for this feed alone.
+            clock: Says when a frame is due; it has all of these cameras and no other user.
+
+        Raises:
+            InvalidSetup: The cameras' world has many copies.
+        """
+        if cameras.world.leading:
+            raise InvalidSetup("A RenderThread draws one copy; the frames of many copies come from a CameraFeed.")
+        self.skipped = dict.fromkeys(cameras.names, 0)
+        """Frames of each camera that were due and never drawn, as a newer state came first."""
+        self.capture_times: dict[str, float] = {}
+        """When the simulation was as each camera's last frame shows it [s], on the monotonic clock."""
+        self._cameras = cameras
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._due: dict[str, Snapshot] = {}
+        self._drawn: dict[str, tuple[Snapshot, FrameArrays]] = {}
+        self._thread: ThreadPoolExecutor | None = None
+        self._drawing: Future[None] | None = None
+        """Draws until no frame is due; None while the thread has nothing to draw."""
+
+    def read(self) -> dict[str, FrameArrays]:
+        """Hand over the present state for the cameras that have a frame due, and return each camera's newest frame.
+
+        An episode begins with frames of its own, for which it waits; otherwise a step never waits for a frame. The
+        arrays are read-only, and a frame that is seen again is the same arrays.
+
+        Raises:
+            RcsError: The thread could not draw; it has ended.
+        """
+        is_new = self._clock.take()
+        is_start = self._clock.steps[0] == 0 or not self._drawn
+        names = [name for name in self._cameras.names if is_start or is_new[name][0]]
+        snapshot = self._cameras.snapshot(names) if names else None
+        with self._lock:
+            if is_start:
+                self._due.clear()
+            for name in names:
+                self.skipped[name] += name in self._due
+                assert snapshot is not None
+                self._due[name] = snapshot
+            if self._due and self._drawing is None:
+                self._thread = self._thread or ThreadPoolExecutor(1, "render cameras")
+                self._drawing = self._thread.submit(self._draw)
+            drawing = self._drawing
+        if drawing is not None and (is_start or drawing.done()):
+            drawing.result()
+        with self._lock:
+            newest = dict(self._drawn)
+        self.capture_times = {name: newest[name][0].time for name in self._cameras.names}
+        return {name: dict(newest[name][1]) for name in self._cameras.names}
+
+    def _draw(self) -> None:
+        while True:
+            with self._lock:
+                due, self._due = self._due, {}
+                if not due:
+                    self._drawing = None
+                    return
+            for snapshot in dict.fromkeys(due.values()):
+                names = [name for name in due if due[name] is snapshot]
+                for name, frame in self._cameras.draw(snapshot, names):
+                    with self._lock:
+                        self._drawn[name] = (snapshot, frame)
+
+    def close(self) -> None:
+        """End the thread and free the renderer. Closing twice is harmless; reading again starts anew."""
+        with self._lock:
+            self._due.clear()
+        if self._thread is not None:
+            self._thread.shutdown()
+        self._thread = self._drawing = None
+        self._drawn.clear()
+        self._cameras.close()
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """What a feed gave in one step. Arrays are (copies,)."""
+
+    arrays: FrameArrays
+    captured: NDArray[np.float64]
+    """When each copy was as its frame shows it [s], simulated time; in real time, on the host's monotonic clock."""
+    arrives: NDArray[np.float64]
+    """When it can be seen [s]."""
+    drawn: NDArray[np.float64]
+    """When it was drawn [s], on the host's monotonic clock."""
+
+
+class DelayedFrames:
+    """Holds back the frames of a feed and takes its place, for one copy and for many.
+
+    An episode begins with a frame that is new. From then on, a step sees the newest frame that has arrived: one that
+    was captured at or before the end of the step less the latency. Frames are captured at the ends of steps, so their
+    ages are at least the latency, and less than one period of steps or of the camera more.
+    """
+
+    def __init__(
+        self,
+        feed: CameraFeed | RenderThread | PixelFeed,
+        clock: FrameClock,
+        world: World,
+        latency: Callable[[], Mapping[str, NDArray[np.float64]]],
+        jitter: float = 0.0,
+    ) -> None:
+        """Hold back the frames of a feed.
+
+        Args:
+            feed: The newest frames.
+            clock: The feed's.
+            world: The world of the cameras.
+            latency: Returns the present latency of each camera by name [s], (*leading,).
+            jitter: Largest time that a single frame takes longer [s]; drawn anew for each frame.
+        """
+        self._feed = feed
+        self._clock = clock
+        self._world = world
+        self._latency = latency
+        self._jitter = jitter
+        self._is_real = isinstance(feed, RenderThread)
+        self._waiting: dict[str, list[_Frame]] = {}
+        self._numbers: dict[str, NDArray[np.int64]] = {}
+        self.capture_times: dict[str, Any] = {}
+        """When each camera's frame was drawn [s], on the monotonic clock; of many copies, (copies,)."""
+        self.ages: dict[str, NDArray[np.float64]] = {}
+        """How old each camera's frame is [s], (*leading,): in simulated time, or in real time on the wall clock."""
+
+    def read(self) -> dict[str, FrameArrays]:
+        """Return the newest frame of each camera that has arrived, as the feed gives them; arrays are read-only."""
+        newest, latency = self._feed.read(), self._latency()
+        now = np.array([time.perf_counter()]) if self._is_real else np.array(np.atleast_1d(self._world.time))
+        return {name: self._read(name, arrays, now, latency[name]) for name, arrays in newest.items()}
+
+    def _read(
+        self, name: str, arrays: FrameArrays, now: NDArray[np.float64], latency: NDArray[np.float64]
+    ) -> FrameArrays:
+        waiting = self._waiting.setdefault(name, [])
+        waiting.insert(0, self._take(name, arrays, now, latency, waiting[0] if waiting else None))
+        # For each copy, the first one that has arrived. That of an episode's start always has, before those of others.
+        chosen = np.stack([one.arrives <= now + ROUNDING for one in waiting]).argmax(axis=0)
+        del waiting[int(chosen.max()) + 1 :]
+        captured = _pick([one.captured for one in waiting], chosen)
+        drawn = _pick([one.drawn for one in waiting], chosen)
+        leading = self._world.leading
+        self.ages[name] = (now - captured).reshape(leading)
+        self.capture_times[name] = drawn if leading else float(drawn[0])
+        if (chosen == chosen[0]).all():
+            return dict(waiting[int(chosen[0])].arrays)
+        return {key: _pick([one.arrays[key] for one in waiting], chosen) for key in arrays}
+
+    def _take(
+        self,
+        name: str,
+        arrays: FrameArrays,
+        now: NDArray[np.float64],
+        latency: NDArray[np.float64],
+        before: _Frame | None,
+    ) -> _Frame:
+        is_start = np.array(self._clock.steps == 0)
+        numbers = self._clock.numbers[name].copy()
+        drawn = np.full(len(now), self._feed.capture_times[name])
+        captured = drawn if self._is_real else now
+        if before is None:
+            is_start[:] = is_new = True
+        elif self._is_real:
+            is_new = is_start | (drawn != before.drawn)
+        else:
+            is_new = is_start | (numbers != self._numbers[name])
+        self._numbers[name] = numbers
+        arrives = captured + np.reshape(latency, -1) + self._jitter * self._drawn_jitter(name, numbers)
+        arrives = np.where(is_start, -np.inf, arrives)
+        if before is not None:
+            captured, arrives, drawn = (
+                np.where(is_new, mine, last)
+                for mine, last in ((captured, before.captured), (arrives, before.arrives), (drawn, before.drawn))
+            )
+        return _Frame(arrays, captured, arrives, drawn)
+
+    def _drawn_jitter(self, name: str, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return a number 0 … 1 for each copy, determined by episode, camera and frame."""
+        return numbered(branch(self._clock.keys, f"late {name}"), numbers)
+
+    def close(self) -> None:
+        """Close the feed."""
+        self._waiting.clear()
+        self._feed.close()
+
+
+def _pick(entries: list[NDArray[Any]], chosen: NDArray[np.intp]) -> NDArray[Any]:
+    """Return for each copy its row of the entry that is chosen for it."""
+    picked = entries[0].copy()
+    for i, entry in enumerate(entries[1:], start=1):
+        picked[chosen == i] = entry[chosen == i]
+    picked.flags.writeable = False
+    return picked

@@ -6,37 +6,25 @@ has exactly 30 frames in each second at 100 control steps/s, however long the ep
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.record import NotNegative, Positive, Record
 
-from rcs.errors import InvalidSetup
 from rcs.robots.description import CameraDescription
-from rcs.sim.splitmix import GAMMA, mix, units
+from rcs.sim.splitmix import branch, numbered
 from rcs.sim.world import Copies, World
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrameRate:
+class FrameRate(Record):
     """The frame rate of a camera."""
 
-    fps: float
+    fps: Positive
     """Frames per second."""
-    longest_exposure: float = 0.0
+    longest_exposure: NotNegative = 0.0
     """If this exceeds the frame period, intervals are uniformly distributed between the two [s]."""
-
-    def __post_init__(self) -> None:
-        """Check the figures.
-
-        Raises:
-            InvalidSetup: The rate is not positive, or the exposure is negative.
-        """
-        if not (np.isfinite(self.fps) and self.fps > 0 and np.isfinite(self.longest_exposure)):
-            raise InvalidSetup(f"fps is {self.fps}, longest_exposure {self.longest_exposure} s; they must be positive.")
 
     @property
     def is_rolling(self) -> bool:
@@ -84,6 +72,9 @@ class FrameClock:
         copies = world.copies
         self.numbers = {name: np.full(copies, -1, np.int64) for name in rates}
         """Number of the newest frame since the start of the episode, (copies,), counted from 0 as by the device."""
+        self.steps: NDArray[np.int64] = world.core.steps
+        """Control steps since the start of each copy's episode, (copies,): those of the world, live. A program that
+        shows states of a recording puts its own in their place."""
         self.keys = np.zeros(copies, np.uint64)
         """Random bits of the present episodes, (copies,)."""
         self._start_times = np.zeros(copies)
@@ -107,10 +98,9 @@ class FrameClock:
 
     def take(self) -> dict[str, NDArray[np.bool_]]:
         """Return which copies have a new frame since the last call, (copies,) for each camera."""
-        steps = self._world.core.steps
         # Also without `begin`, in a world that is reset by hand.
-        starts = steps == 0
-        ticks = self._count_physics_steps(starts) if self._is_synchronous else steps
+        starts = self.steps == 0
+        ticks = self._count_physics_steps(starts) if self._is_synchronous else self.steps
         is_new: dict[str, NDArray[np.bool_]] = {}
         for name, rate in self._rates.items():
             if rate.is_rolling:
@@ -140,7 +130,4 @@ class FrameClock:
     def _intervals(self, name: str, numbers: NDArray[np.int64], keys: NDArray[np.uint64]) -> NDArray[np.float64]:
         """Return the intervals of frames [s], determined by episode, camera name and frame number."""
         shortest, longest = 1.0 / self._rates[name].fps, self._rates[name].longest_exposure
-        with np.errstate(over="ignore"):
-            stream = mix(keys ^ mix(np.array([zlib.crc32(name.encode())], np.uint64) + GAMMA))
-            drawn = units(mix(stream + numbers.astype(np.uint64) * GAMMA))
-        return shortest + (longest - shortest) * drawn
+        return shortest + (longest - shortest) * numbered(branch(keys, name), numbers)

@@ -134,7 +134,7 @@ class PixelFeed:
     def read(self) -> dict[str, dict[str, NDArray[np.uint8]]]:
         """Return the newest stack of each camera as `pixels`, (*leading, channels, height, width), read-only."""
         is_new = self._clock.take()
-        is_start = self._world.core.steps == 0
+        is_start = self._clock.steps == 0
         states = np.atleast_2d(self._world.states())
         is_known = np.zeros(len(states), np.bool_) if self._states is None else (states == self._states).all(axis=-1)
         for group in self._groups:

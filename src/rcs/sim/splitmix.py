@@ -1,9 +1,11 @@
-"""SplitMix64 as a function: random numbers that depend on a counter alone, computed for whole arrays at once.
+"""SplitMix64 as functions: random numbers that depend on a key and a counter alone, computed for whole arrays at once.
 
 Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014.
 """
 
 from __future__ import annotations
+
+import zlib
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,3 +28,15 @@ def mix(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
 def units(bits: NDArray[np.uint64]) -> NDArray[np.float64]:
     """Return numbers from [0, 1) made of 53 random bits each."""
     return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
+
+
+def branch(keys: NDArray[np.uint64], name: str) -> NDArray[np.uint64]:
+    """Return the keys of independent streams; different names give different streams."""
+    with np.errstate(over="ignore"):
+        return mix(keys ^ mix(np.array(zlib.crc32(name.encode()), np.uint64) + GAMMA))
+
+
+def numbered(keys: NDArray[np.uint64], numbers: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the random numbers of streams, from [0, 1), that have certain places in them."""
+    with np.errstate(over="ignore"):
+        return units(mix(keys + numbers.astype(np.uint64) * GAMMA))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.layers.layer import Layer, Where, everywhere, renew
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS, Action, Observation
-from rcs.sim.splitmix import GAMMA, mix, units
+from rcs.sim.splitmix import numbered
 
 if TYPE_CHECKING:
     from rcs.envs.episode_random import EpisodeRandom
@@ -63,9 +63,7 @@ class LateActions(Layer):
 
     def map_action(self, action: Action) -> Action:
         """Return the last action in place of a late one."""
-        with np.errstate(over="ignore"):
-            drawn = units(mix(self._keys + (self._steps + 1).astype(np.uint64) * GAMMA))
-        is_late = drawn < self.share
+        is_late = numbered(self._keys, self._steps + 1) < self.share
         sent = action
         if is_late.any():
             sent = {

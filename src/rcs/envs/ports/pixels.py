@@ -14,8 +14,8 @@ from rcs.envs.ports.simulated import delay_of, is_late
 from rcs.envs.spaces import Arrays, Observation
 from rcs.envs.variation.randomiser import Randomiser
 from rcs.sim.camera import Quality
+from rcs.sim.camera_feed import DelayedFrames
 from rcs.sim.frame_clock import FrameClock
-from rcs.sim.frame_delay import DelayedFrames
 from rcs.sim.pixels import PixelFeed, Pixels
 from rcs.sim.scene import CameraPlacement
 from rcs.sim.world import World

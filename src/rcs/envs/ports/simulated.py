@@ -14,11 +14,9 @@ from rcs.envs.ports.port import Port, arm_observation_spaces
 from rcs.envs.spaces import Arrays, Observation
 from rcs.envs.variation.randomiser import Randomiser
 from rcs.sim.camera import SimCameras
-from rcs.sim.camera_feed import CameraFeed
+from rcs.sim.camera_feed import CameraFeed, DelayedFrames, RenderThread
 from rcs.sim.frame_clock import FrameClock, FrameRate
-from rcs.sim.frame_delay import DelayedFrames
 from rcs.sim.pixels import PixelFeed
-from rcs.sim.render_thread import RenderThread
 from rcs.sim.robot import SimRobot
 from rcs.sim.tactile import SimTactile
 from rcs.sim.world import World
