@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
 
-_PER_BODY = 6
-"""Numbers per body in a state: its external force."""
+_WHOLE = mujoco.mjtState.mjSTATE_INTEGRATION.value
+_FORCES = mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
+"""The only part of a state that has numbers for every body: its external wrench."""
 
 
 class StateTransfer:
@@ -29,34 +30,24 @@ class StateTransfer:
         Raises:
             InvalidSetup: Their joints, actuators or other parts of the state differ.
         """
-        if (joints := _names(source, "jnt")) != _names(target, "jnt"):
+        joints, own_joints = ([model.joint(i).name for i in range(model.njnt)] for model in (source, target))
+        servos, own_servos = ([model.actuator(i).name for i in range(model.nu)] for model in (source, target))
+        if (joints, servos) != (own_joints, own_servos):
             raise InvalidSetup(
-                f"States of one scene do not fit another with other joints: {joints} and {_names(target, 'jnt')}."
+                f"States of one scene do not fit another with other joints: {joints + servos} and "
+                f"{own_joints + own_servos}."
             )
-        self._size = mujoco.mj_stateSize(target, mujoco.mjtState.mjSTATE_INTEGRATION.value)
-        reads: list[NDArray[np.intp]] = []
-        writes: list[NDArray[np.intp]] = []
-        read = write = 0
-        for name, part in _parts():
-            sizes = [mujoco.mj_stateSize(model, part) for model in (source, target)]
-            if part == mujoco.mjtState.mjSTATE_XFRC_APPLIED.value:
-                common, from_rows, to_rows = np.intersect1d(_bodies(source), _bodies(target), return_indices=True)
-                columns = np.arange(_PER_BODY)
-                reads.append((read + _PER_BODY * from_rows[:, None] + columns).ravel())
-                writes.append((write + _PER_BODY * to_rows[:, None] + columns).ravel())
-                assert len(common) > 0  # both have the world
-            elif sizes[0] != sizes[1]:
-                raise InvalidSetup(
-                    f"States of one scene do not fit another: {name} has {sizes[0]} numbers in one and "
-                    f"{sizes[1]} in the other."
-                )
-            else:
-                reads.append(read + np.arange(sizes[0]))
-                writes.append(write + np.arange(sizes[0]))
-            read += sizes[0]
-            write += sizes[1]
-        self._reads, self._writes = np.concatenate(reads), np.concatenate(writes)
-        self._source_size = read
+        # In the order of the bits, the parts of a state lie before and after the forces.
+        parts = (_WHOLE & (_FORCES - 1), _WHOLE & -(2 * _FORCES))
+        sizes, own_sizes = ([mujoco.mj_stateSize(model, part) for part in parts] for model in (source, target))
+        if sizes != own_sizes:
+            raise InvalidSetup(
+                f"States of one scene do not fit another: beside forces, they have {sum(sizes)} numbers in one and "
+                f"{sum(own_sizes)} in the other."
+            )
+        self._before, self._after = sizes
+        self._bodies, self._own_bodies = source.nbody, target.nbody
+        _, self._rows, self._own_rows = np.intersect1d(_bodies(source), _bodies(target), return_indices=True)
 
     def __call__(self, states: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the corresponding states of the target.
@@ -67,11 +58,13 @@ class StateTransfer:
         Raises:
             InvalidSetup: Their size differs from the source's.
         """
-        if states.shape[-1] != self._source_size:
-            raise InvalidSetup(of_another_simulation(states.shape[-1], self._source_size))
-        carried = np.zeros((*states.shape[:-1], self._size))
-        carried[..., self._writes] = states[..., self._reads]
-        return carried
+        size = self._before + 6 * self._bodies + self._after
+        if states.shape[-1] != size:
+            raise InvalidSetup(of_another_simulation(states.shape[-1], size))
+        before, given, after = np.split(states, [self._before, size - self._after], axis=-1)
+        forces = np.zeros((*states.shape[:-1], self._own_bodies, 6))
+        forces[..., self._own_rows, :] = given.reshape(*states.shape[:-1], self._bodies, 6)[..., self._rows, :]
+        return np.concatenate([before, forces.reshape(*states.shape[:-1], -1), after], axis=-1)
 
 
 def of_another_simulation(given: int, own: int) -> str:
@@ -81,19 +74,6 @@ def of_another_simulation(given: int, own: int) -> str:
         "this package, whose simulation moves differently: the recorded actions would end elsewhere. The recording can "
         "be read, viewed and exported; `rcs data replay --kind states` has simulated robots follow its joints."
     )
-
-
-def _parts() -> list[tuple[str, int]]:
-    """Return name and bit of all parts of a state, in storage order."""
-    whole = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)
-    parts = {int(part.value): name for name, part in mujoco.mjtState.__members__.items()}
-    return [(parts[bit], bit) for bit in sorted(parts) if bit & whole and bit & (bit - 1) == 0]
-
-
-def _names(model: mujoco.MjModel, kind: str) -> list[str]:
-    if kind == "jnt":
-        return [model.joint(i).name for i in range(model.njnt)] + [model.actuator(i).name for i in range(model.nu)]
-    return [model.body(i).name for i in range(model.nbody)]
 
 
 def _bodies(model: mujoco.MjModel) -> NDArray[np.str_]:

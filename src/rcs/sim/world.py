@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from fractions import Fraction
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs import _core
-from rcs._core import StepCallback, StepEnd, StepView
+from rcs._core import StepCallback, StepView
 from rcs.errors import InvalidSetup, SimulationError
 
 Stepping = Literal["async", "sync", "realtime"]
@@ -29,7 +29,7 @@ StepFunction = Callable[[StepView], bool | None]
 """A function that sees a copy during a step; None counts as False."""
 
 MOST = 2**31 - 1
-"""Most copies and threads that can be asked for."""
+"""Largest number of copies and of threads."""
 
 LOWEST_FREQUENCY = 1e-6
 """Lowest control rate [Hz]: one step in eleven days."""
@@ -44,6 +44,14 @@ DIVERGENCE = (
     mujoco.mjtWarning.mjWARN_BADCTRL,
 )
 """Warnings of MuJoCo that make a step fail."""
+
+
+class _Readouts(NamedTuple):
+    poses: NDArray[np.float64]
+    xyzrpy: NDArray[np.float64]
+    forces: NDArray[np.float64]
+    openings: NDArray[np.float32]
+    measurements: NDArray[np.float64]
 
 
 class World:
@@ -106,7 +114,7 @@ class World:
         """Live simulated time [s], (*leading,)."""
         self._nominal: dict[str, NDArray[Any]] = {}
         self._fields: dict[str, NDArray[Any]] = {}
-        self._is_read_out = False
+        self._readouts: _Readouts | None = None
         self._scratch: mujoco.MjData | None = None
 
     def close(self) -> None:
@@ -126,14 +134,6 @@ class World:
         """Number of copies."""
         return self.core.copies
 
-    def converge_when(self, is_done: StepFunction) -> None:
-        """End a synchronous step when this and all other such functions return True."""
-        self.core.converge_when(Callback(is_done))
-
-    def interrupt_when(self, is_reason: StepFunction) -> None:
-        """End a synchronous step as soon as a function returns True; an asynchronous one only says so in `ends`."""
-        self.core.interrupt_when(Callback(is_reason))
-
     def on_period(self, function: StepFunction, period: float) -> None:
         """Call a function at a rate of simulated time, of every copy; True interrupts the step.
 
@@ -142,11 +142,6 @@ class World:
             period: Time between two calls [s], a multiple of the time step of the physics.
         """
         self.core.on_period(Callback(function), period)
-
-    @property
-    def ends(self) -> list[StepEnd]:
-        """Why the last step of each copy ended."""
-        return [StepEnd(int(end)) for end in self.core.ends]
 
     @property
     def substeps(self) -> NDArray[np.int32]:
@@ -170,47 +165,36 @@ class World:
         """
         return self.core.read_force(first, second)
 
-    def _read_out(self) -> None:
+    def _read_out(self) -> _Readouts:
         """Take views of the readouts. After the first use, no readouts may be added."""
-        self._poses, self._xyzrpy = self.core.poses, self.core.xyzrpy
-        self._forces, self._openings = self.core.forces, self.core.openings
-        self._measurements = self.core.measurements
-        self._is_read_out = True
+        core = self.core
+        self._readouts = _Readouts(core.poses, core.xyzrpy, core.forces, core.openings, core.measurements)
+        return self._readouts
 
     @property
     def poses(self) -> NDArray[np.float64]:
         """Live poses registered with `read_pose`, (*leading, readouts, 7): translation [m], quaternion xyzw."""
-        if not self._is_read_out:
-            self._read_out()
-        return self._poses
+        return (self._readouts or self._read_out()).poses
 
     @property
     def xyzrpy(self) -> NDArray[np.float64]:
         """The same poses as translation [m] and roll, pitch, yaw [rad], (*leading, readouts, 6)."""
-        if not self._is_read_out:
-            self._read_out()
-        return self._xyzrpy
+        return (self._readouts or self._read_out()).xyzrpy
 
     @property
     def forces(self) -> NDArray[np.float64]:
         """Live forces registered with `read_force`, (*leading, readouts) [N]."""
-        if not self._is_read_out:
-            self._read_out()
-        return self._forces
+        return (self._readouts or self._read_out()).forces
 
     @property
     def openings(self) -> NDArray[np.float32]:
         """Live openings registered with `core.read_opening`, (*leading, readouts), 0 … 1."""
-        if not self._is_read_out:
-            self._read_out()
-        return self._openings
+        return (self._readouts or self._read_out()).openings
 
     @property
     def measurements(self) -> NDArray[np.float64]:
         """Live values registered with `core.measure`, (*leading, values)."""
-        if not self._is_read_out:
-            self._read_out()
-        return self._measurements
+        return (self._readouts or self._read_out()).measurements
 
     @property
     def period(self) -> float:
@@ -239,18 +223,12 @@ class World:
 
     def reset(self, copies: Copies = None) -> None:
         """Reset copies to the initial state; call `refresh` after writing the state."""
-        if copies is None:
-            self.core.reset()
-        else:
-            self.core.reset(copies)
+        self.core.reset(*_chosen(copies))
 
     def refresh(self, copies: Copies = None) -> None:
         """Recompute the readouts (poses, forces) after writing the state."""
-        self._is_read_out = False  # readouts may have been added
-        if copies is None:
-            self.core.refresh()
-        else:
-            self.core.refresh(copies)
+        self._readouts = None  # some may have been added
+        self.core.refresh(*_chosen(copies))
 
     def save(self, copies: Copies = None) -> NDArray[np.float64]:
         """Return everything that decides the future of copies, and what was read out, (copies, values)."""
@@ -263,8 +241,7 @@ class World:
         Raises:
             InvalidSetup: It has another size.
         """
-        chosen = range(self.copies) if copies is None else copies
-        for copy, row in zip(chosen, saved, strict=True):
+        for copy, row in zip(range(self.copies) if copies is None else copies, saved, strict=True):
             self.core.load(row, int(copy))
         if self.data is not None:
             self.refresh()  # what is drawn
@@ -295,18 +272,18 @@ class World:
 
     @property
     def varied(self) -> list[str]:
-        """Names of the fields that `vary` was asked for."""
+        """Names of the fields that have been given to `vary`."""
         return sorted(self._nominal)
 
     def nominal(self, field: str) -> NDArray[Any]:
-        """Return what every copy had for a field before `vary` was asked for it."""
+        """Return the values that every copy had for a field before its first `vary`."""
         values = self._nominal.get(field)
         return getattr(self.model, field) if values is None else values
 
     def field(self, field: str) -> NDArray[Any]:
         """Return the present values of a field of `MjModel`, read-only, (*leading, *its shape)."""
         values = self._fields.get(field)
-        if values is None:  # asking for them costs more than most resets do with them
+        if values is None:  # looking them up costs more than most resets use them for
             common: NDArray[Any] = getattr(self.model, field)
             shape = (*self.leading, *common.shape)
             own = self.core.expanded(field) if self.leading else None
@@ -322,10 +299,8 @@ class World:
                 mujoco.mj_setConst(self.model, self._scratch)
             except mujoco.FatalError as err:
                 raise SimulationError(f"The constants of the model could not be computed: {err}") from err
-        elif copies is None:
-            self.core.set_constants()
         else:
-            self.core.set_constants(copies)
+            self.core.set_constants(*_chosen(copies))
 
     def geom_flags(self, names: Iterable[str]) -> NDArray[np.uint8]:
         """Return one flag per geom of the model that is 1 for the named ones.
@@ -334,8 +309,7 @@ class World:
             KeyError: A name is not in the model.
         """
         flags = np.zeros(self.model.ngeom, np.uint8)
-        for name in names:
-            flags[self.model.geom(name).id] = 1
+        flags[[self.model.geom(name).id for name in names]] = 1
         return flags
 
     def subtree_flags(self, body: str) -> NDArray[np.uint8]:
@@ -375,6 +349,11 @@ class World:
         for i in range(root + 1, self.model.nbody):  # parents come before children
             inside[i] = inside[self.model.body_parentid[i]]
         return inside
+
+
+def _chosen(copies: Copies) -> tuple[NDArray[np.integer[Any]], ...]:
+    """Return the arguments of a call of the core for some copies; none for all."""
+    return () if copies is None else (copies,)
 
 
 class Callback(StepCallback):
