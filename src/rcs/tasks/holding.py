@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rcs.envs.layers import Where
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
-from rcs.tasks.lifting import norm
+from rcs.tasks.lifting import any_of, norm
 
 TOUCH_FORCE = 0.5
 """Least force of a pad that counts as contact with an object [N] (ManiSkill's PickCube)."""
@@ -58,13 +58,15 @@ class HoldTimer:
             places: Places that must stay where they were when the time began, (*leading, places, 3) [m].
         """
         was, self._was = self._was, is_so.copy()
-        if not is_so.any():
+        if not any_of(is_so):
             return is_so.copy()
         starts = ~was
         if places is not None:
-            starts = starts | (norm(places - self._places) > self._tolerance).any(axis=-1)
-            self._places = np.where(starts[..., None, None], places, self._places)
-        self.since = np.where(starts, self._world.time, self.since)
+            starts = starts | np.logical_or.reduce(norm(places - self._places) > self._tolerance, axis=-1)
+        if any_of(starts):
+            if places is not None:
+                self._places = np.where(starts[..., None, None], places, self._places)
+            self.since = np.where(starts, self._world.time, self.since)
         return is_so & (self._world.time - self.since >= self._enough)
 
 
@@ -91,11 +93,12 @@ class Grip:
         self._gravity = float(np.linalg.norm(model.opt.gravity))
         surface = world.geom_flags([name])
         prefixes = [robot.placement.gripper_prefix for robot in robots]
-        self._pads = [
-            world.core.read_force(world.geom_flags(prefix + pad for pad in pads), surface)
+        pads = [
+            world.core.read_force(world.geom_flags(prefix + pad for pad in geoms), surface)
             for prefix, robot in zip(prefixes, robots, strict=True)
-            for pads in robot.gripper.pad_geoms
+            for geoms in robot.gripper.pad_geoms
         ]
+        self._pads = slice(pads[0], pads[-1] + 1)  # they are read out one after the other
         bases = [prefix + robot.gripper.base_body for prefix, robot in zip(prefixes, robots, strict=True)]
         self._others = world.core.read_force(all_but(world, *bases, name), surface)
         first, *_ = [world.core.read_body_pose(self._body, model.body(base).id) for base in bases]

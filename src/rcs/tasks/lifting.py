@@ -113,9 +113,10 @@ def lowest(pose: NDArray[np.float64], half_edges: NDArray[np.float64]) -> NDArra
         pose: Of its middle, (*leading, 7) [m], xyzw.
         half_edges: Half its edges along its x, y, z [m], (*leading, 3).
     """
-    x, y, z, w = (pose[..., 3 + i] for i in range(4))
-    down = np.abs(2 * (x * z - w * y)) * half_edges[..., 0] + np.abs(2 * (y * z + w * x)) * half_edges[..., 1]
-    return pose[..., 2] - down - np.abs(1 - 2 * (x * x + y * y)) * half_edges[..., 2]
+    height, x, y, z, w = pose.T[2:]  # numbers for one copy, which are faster than arrays
+    half_x, half_y, half_z = half_edges.T
+    down = np.abs(2 * (x * z - w * y)) * half_x + np.abs(2 * (y * z + w * x)) * half_y
+    return (height - down - np.abs(1 - 2 * (x * x + y * y)) * half_z).T
 
 
 def progress(
@@ -148,8 +149,13 @@ def nearness(distance: NDArray[np.float64], steepness: float = 5.0) -> NDArray[n
     return 1.0 - 0.5 * (np.tanh(steepness * distance) + np.tanh(25.0 * distance))
 
 
+def any_of(flags: NDArray[np.bool_]) -> bool:
+    """Return `flags.any()`, ten times as fast for a number of NumPy's."""
+    return bool(flags.any() if flags.ndim else flags)
+
+
 # The order of NumPy's sums may depend on the number of copies.
 def norm(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the lengths of vectors (..., 3), with the same bits for one copy as for many."""
-    x, y, z = (vectors[..., i] for i in range(3))
-    return np.sqrt(x * x + y * y + z * z)
+    x, y, z = vectors.T  # numbers for one vector, which are faster than arrays
+    return np.sqrt(x * x + y * y + z * z).T

@@ -19,7 +19,7 @@ from rcs.sim.world import World
 from rcs.spatial import compose
 from rcs.tasks.distractors import MOST, Distractors
 from rcs.tasks.holding import SLIP, TOUCH_FORCE, Grip, HoldTimer
-from rcs.tasks.lifting import FreeBody, LiftOptions, add_box, lowest, progress, table_height, upright
+from rcs.tasks.lifting import FreeBody, LiftOptions, add_box, any_of, lowest, progress, table_height, upright
 from rcs.tasks.obstacles import MOST as MOST_OBSTACLES
 from rcs.tasks.obstacles import Obstacles
 from rcs.tasks.robots_needed import require_robots
@@ -190,7 +190,7 @@ class PickCuboid(Task):
         goal = self.options.lift_height
         height = np.zeros(())
         is_held = is_grasped
-        if is_grasped.any():
+        if any_of(is_grasped):
             height = lowest(poses[..., self._in_scene, :], self._half_edges) - self._table
             is_held = is_grasped & (height >= goal) & self._grip.is_free()
         success = self._held.count(is_held, self._grip.places())

@@ -88,7 +88,7 @@ class LimitStep(Layer):
         cut = limit_rows(asked, self._target, self._measured, *self._bounds)
         if cut is None:
             # Returning the same array tells the layers above that nothing was cut.
-            self._is_cut = np.zeros_like(self._is_limited)
+            self._is_cut = np.zeros(self._is_limited.shape, np.bool_)
             return action
         target, self._is_cut = cut
         return {**action, JOINTS: target}
