@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+
+from rcs.worker import Worker
 
 NEAR = 1e-9
 """Time that is rounding [s]."""
@@ -91,48 +91,35 @@ class ThreadedInquiry(Inquiry):
         Args:
             name: Of the thread.
         """
-        self._name = name
-        self._questions: queue.SimpleQueue[tuple[int, Callable[[], Any]] | None] = queue.SimpleQueue()
-        self._answers: queue.SimpleQueue[tuple[int, Answer]] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None
+        self._worker: Worker[tuple[int, Callable[[], Any]]] = Worker(name, self._ask)
+        self._answer: tuple[int, Answer] | None = None
         self._number = 0
         self.is_pending = False
 
     def ask(self, question: Callable[[], Any], now: float) -> None:
         """Hand a question to the thread."""
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
-            self._thread.start()
         self._number += 1
         self.is_pending = True
-        self._questions.put((self._number, question))
+        self._worker.put((self._number, question))
 
     def answer(self, now: float) -> Answer | None:
         """Return the answer if the thread has it."""
-        while True:
-            try:
-                number, answer = self._answers.get_nowait()
-            except queue.Empty:
-                return None
-            if number == self._number and self.is_pending:
-                self.is_pending = False
-                return answer
+        if not self.is_pending or self._answer is None or self._answer[0] != self._number:
+            return None
+        self.is_pending = False
+        return self._answer[1]
 
     def drop(self) -> None:
-        """Forget the question; the thread answers it to nobody."""
+        """Drop the question; its answer is discarded."""
         self.is_pending = False
 
     def close(self) -> None:
-        """End the thread, which may wait for a policy that is silent: it is a daemon, and nobody waits for it long."""
-        if self._thread is not None:
-            self._questions.put(None)
-            self._thread.join(timeout=1.0)
-            self._thread = None
+        """End the thread; one that waits for a silent policy is left behind after a second."""
+        self._worker.close(timeout=1.0)
 
-    def _run(self) -> None:
-        while (asked := self._questions.get()) is not None:
-            number, question = asked
-            self._answers.put((number, _asked(question, None)))
+    def _ask(self, asked: tuple[int, Callable[[], Any]]) -> None:
+        number, question = asked
+        self._answer = number, _asked(question, None)
 
 
 def _asked(question: Callable[[], Any], latency: float | None) -> Answer:

@@ -1,16 +1,18 @@
-"""An observer beside the loop: it sees everything in order, never slows the loop, and its errors are told."""
+"""An observer beside the loop: it sees everything in order, never slows the loop, and its errors are reported."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import DatasetWriter
 
 import rcs
-from rcs.envs import InBackground, Observer, Transition
+from rcs.envs import InBackground, Observer, Recorder, Transition, dataset_info
 from rcs.errors import InvalidSetup
 
 ACTION = {"joints": np.zeros(7), "gripper": np.ones(1, np.float32)}
@@ -131,3 +133,11 @@ def test_without_an_episode_there_is_no_thread() -> None:
 def test_a_bound_that_makes_no_sense_is_refused(bound: Any) -> None:
     with pytest.raises(InvalidSetup, match="bound is"):
         InBackground(Witness(), bound=bound)
+
+
+def test_a_recorder_is_refused_because_it_has_a_thread_of_its_own(tmp_path: Path) -> None:
+    env = rcs.make("Free")
+    with DatasetWriter.open(tmp_path, dataset_info(env)) as writer:
+        with pytest.raises(InvalidSetup, match="background=True"):
+            InBackground(Recorder(writer))
+        env.close()

@@ -1,30 +1,29 @@
 """Runs an observer beside the loop of an environment, in a thread of its own.
 
-Time: the loop puts each transition into a bounded queue and goes on. When the thread falls behind by the bound, new
-steps are left out and counted; starts and ends of episodes are never left out. Transitions are handed over as they are:
+The loop puts each transition into a bounded queue and goes on. When the thread falls behind by the bound, new steps are
+left out and counted; starts and ends of episodes are never left out. Transitions are handed over as they are, because
 their arrays are written once.
 """
 
 from __future__ import annotations
 
 import logging
-import threading
-import time
-from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rcs.envs.observer import Observer, Transition
+from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup, WrongOrder
+from rcs.worker import Worker
 
 _log = logging.getLogger(__name__)
 
 BOUND = 128
-"""Steps that may wait: about four seconds at 30 Hz."""
+"""Largest number of steps that wait: about four seconds at 30 Hz."""
 
 PATIENCE = 5.0
-"""How long `close` waits for what is still in the queue [s]."""
+"""Longest time that `close` waits for the steps in the queue [s]."""
 
 
 class InBackground(Observer):
@@ -53,22 +52,25 @@ class InBackground(Observer):
             bound: How many steps may wait.
 
         Raises:
-            InvalidSetup: The bound is not a whole number from 1.
+            InvalidSetup: The bound is not a whole number from 1, or the observer is a `Recorder`.
         """
         if isinstance(bound, bool) or not isinstance(bound, int) or bound < 1:
             raise InvalidSetup(f"bound is {bound!r}; valid is a whole number of steps from 1.")
+        if isinstance(observer, Recorder):
+            raise InvalidSetup("A Recorder has a thread of its own; use Recorder(writer, background=True).")
         self.observer = observer
         self.missed = 0
         """Steps that were left out because the observer was too slow."""
-        self.error: Exception | None = None
-        """What the observer raised."""
         self._bound = bound
-        self._waiting: deque[tuple[bool, Callable[[], None]]] = deque()
-        self._changed = threading.Condition()
-        self._is_busy = False
-        self._is_closing = False
+        self._name = type(observer).__name__
+        self._worker: Worker[_Call] = Worker(f"rcs observer {self._name}", lambda call: call.make())
+        self._is_closed = False
         self._steps = 0
-        self._thread: threading.Thread | None = None
+
+    @property
+    def error(self) -> Exception | None:
+        """The exception that the observer raised."""
+        return self._worker.error
 
     def on_reset(self, first: Transition, seed: int | None) -> None:
         """Queue the start of an episode."""
@@ -86,10 +88,9 @@ class InBackground(Observer):
         self._put(lambda: self.observer.on_end(end, reasons), is_step=False)
 
     def info(self) -> Mapping[str, Any]:
-        """Return what the observer has to say, its error, and how many steps it has missed."""
+        """Return the info of the observer, and its error."""
         if self.error is not None:
-            name = type(self.observer).__name__
-            return {**self.observer.info(), "observers": {name: f"{type(self.error).__name__}: {self.error}"}}
+            return {**self.observer.info(), "observers": {self._name: f"{type(self.error).__name__}: {self.error}"}}
         return self.observer.info()
 
     def wait(self, timeout: float = PATIENCE) -> bool:
@@ -101,89 +102,48 @@ class InBackground(Observer):
         Returns:
             Whether it has.
         """
-        end = time.monotonic() + timeout
-        with self._changed:
-            while self._waiting or self._is_busy:
-                rest = end - time.monotonic()
-                if rest <= 0 or self._thread is None or not self._thread.is_alive():
-                    return False
-                self._changed.wait(rest)
-        return True
+        return self._worker.wait(timeout)
 
     def close(self) -> None:
-        """Let the observer see what waits, end the thread and close the observer. Closing twice is harmless.
+        """Let the observer see the steps that wait, end the thread and close the observer. Closing twice is harmless.
 
         Raises:
-            Exception: What the observer has raised, once.
+            Exception: The error of the observer, once.
         """
-        if self._is_closing:
+        if self._is_closed:
             return
-        if threading.current_thread() is self._thread:
+        if self._worker.is_current:
             raise WrongOrder("An observer cannot close the thread that it runs in; close the environment instead.")
         self.wait()
-        with self._changed:
-            self._is_closing = True
-            self._changed.notify_all()
-        thread, self._thread = self._thread, None
-        if thread is not None:
-            thread.join(PATIENCE)
-            if thread.is_alive():
-                _log.error("%s is still busy after %g s; its thread is left behind.", self._name, PATIENCE)
+        self._is_closed = True
+        if not self._worker.close(PATIENCE):
+            _log.error("The observer %s is still busy after %g s; its thread is left behind.", self._name, PATIENCE)
         if self.missed:
             _log.warning("%s was too slow and missed %d of %d steps.", self._name, self.missed, self._steps)
         self.observer.close()
         if self.error is not None:
             raise self.error
 
-    @property
-    def _name(self) -> str:
-        return f"The observer {type(self.observer).__name__}"
-
     def _put(self, call: Callable[[], None], *, is_step: bool) -> None:
-        if self.error is not None or self._is_closing:
+        if self.error is not None or self._is_closed:
             return
-        with self._changed:
+        with self._worker.changed:
+            waiting = self._worker.waiting
             self._steps += is_step
-            if len(self._waiting) >= self._bound:
-                self.missed += 1
+            if len(waiting) >= self._bound:
                 if is_step:
+                    self.missed += 1
                     return
-                self._drop_a_step()
-            self._waiting.append((is_step, call))
-            self._changed.notify_all()
-        if self._thread is None:
-            name = f"rcs observer {type(self.observer).__name__}"
-            self._thread = threading.Thread(target=self._work, name=name, daemon=True)
-            self._thread.start()
+                if (step := next((one for one in waiting if one.is_step), None)) is not None:
+                    waiting.remove(step)
+                    self.missed += 1
+            self._worker.put(_Call(call, is_step))
 
-    def _drop_a_step(self) -> None:
-        for index, (is_step, _) in enumerate(self._waiting):
-            if is_step:
-                del self._waiting[index]
-                return
-        self.missed -= 1  # nothing but starts and ends: nothing is dropped
 
-    def _work(self) -> None:
-        while True:
-            with self._changed:
-                while not self._waiting and not self._is_closing:
-                    self._changed.wait()
-                if not self._waiting or self._is_closing:
-                    return
-                _, call = self._waiting.popleft()
-                self._is_busy = True
-            try:
-                call()
-            except Exception as err:  # noqa: BLE001  a thread has no caller; `info` tells it and `close` raises it
-                _log.exception("%s failed and sees no more steps.", self._name)
-                self.error = err
-            with self._changed:
-                self._is_busy = False
-                if self.error is not None:
-                    self._waiting.clear()
-                self._changed.notify_all()
-            if self.error is not None:
-                return
+@dataclass(frozen=True, eq=False)
+class _Call:
+    make: Callable[[], None]
+    is_step: bool
 
 
 def _own(transition: Transition) -> Transition:
