@@ -177,8 +177,9 @@ def measure(arrangement: str, seed: int, options: Options, folder: Path) -> dict
     rng = np.random.default_rng(seed)
     name, task = CAMERAS[arrangement], ShowBoardOptions(**BOARDS[arrangement])
     plain = rcs.Setup(
-        task="rcs.tasks.show_board:ShowBoard", task_options=task.to_json(), robot=options.robot, cameras=(name,),
-        image_size=options.size, relative="absolute", stepping="sync", max_episode_steps=None,
+        task="rcs.tasks.show_board:ShowBoard", task_options=task.to_json(), robot=options.robot,
+        cameras=rcs.Cameras(name, image_size=options.size), relative="absolute", stepping="sync",
+        max_episode_steps=None,
     )  # fmt: skip
     lab = MountedCamera.of(plain, name)
     optical = Mount.of(near(lab.camera.optical_in_parent.pose, rng))

@@ -59,7 +59,9 @@ def collected(mode: str, *, noise: bool, episodes: int) -> Takes:
     """Return the images of each camera of each episode."""
     width, height = map(int, mode.split("x"))
     setup = rcs.Setup(
-        task="PickCuboid", robot="fr3", cameras=("wrist", "side"), image_size=(width, height), camera_noise=noise
+        task="PickCuboid",
+        robot="fr3",
+        cameras=rcs.Cameras(names=("wrist", "side"), image_size=(width, height), noise=noise),
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "set"

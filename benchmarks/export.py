@@ -78,7 +78,9 @@ def main(options: Options) -> None:
 
 def collected(path: Path, options: Options) -> Path:
     """Collect the dataset."""
-    setup = rcs.Setup(task="PickCuboid", robot="fr3", cameras=("wrist", "side"), image_size=(224, 224))
+    setup = rcs.Setup(
+        task="PickCuboid", robot="fr3", cameras=rcs.Cameras(names=("wrist", "side"), image_size=(224, 224))
+    )
     for _ in collect(Collection(setup=setup, out=path, episodes=options.episodes, seed=1, workers=2), Progress()):
         pass
     return path

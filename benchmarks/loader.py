@@ -77,7 +77,9 @@ def main(options: Options) -> None:
 def collected(path: Path, options: Options) -> Path:
     """Collect the dataset."""
     setup = rcs.Setup(
-        task="PickCuboid", robot="fr3", cameras=("wrist", "side"), image_size=(options.size, options.size)
+        task="PickCuboid",
+        robot="fr3",
+        cameras=rcs.Cameras(names=("wrist", "side"), image_size=(options.size, options.size)),
     )
     for _ in collect(Collection(setup=setup, out=path, episodes=options.episodes, seed=1), Progress()):
         pass

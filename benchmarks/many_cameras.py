@@ -101,7 +101,9 @@ def main(options: Options) -> None:
 def six_cameras() -> Parts:
     """Return the lab of the FR3 with its two cameras and four more."""
     setup = rcs.Setup(
-        task="PickCuboid", robot="fr3", cameras=("wrist", "side"), image_size=(WIDTH, HEIGHT), camera_noise=True
+        task="PickCuboid",
+        robot="fr3",
+        cameras=rcs.Cameras(names=("wrist", "side"), image_size=(WIDTH, HEIGHT), noise=True),
     )
     parts = resolve(setup)
     side = parts.cameras[1]

@@ -64,7 +64,10 @@ def main(options: Options) -> None:
     common: dict[str, Any] = {"robot": options.robot, "collision_reaction": False}
     size = {"copies": options.copies, "threads": threads}
     drawn = rcs.make_vec(
-        options.task, cameras=options.cameras, image_size=options.size, pixels=pixels, **size, **common
+        options.task,
+        cameras=rcs.Cameras(names=options.cameras, image_size=options.size, pixels=pixels),
+        **size,
+        **common,
     )
     blind = rcs.make_vec(options.task, **size, **common)
     actions = random_actions(drawn, options.steps)

@@ -81,10 +81,7 @@ def draw(n: int) -> Frames:
     env = rcs.make(
         "PickCuboid",
         robot="fr3",
-        cameras=CAMERAS,
-        image_size=(WIDTH, HEIGHT),
-        depth=True,
-        camera_noise=True,
+        cameras=rcs.Cameras(names=CAMERAS, image_size=(WIDTH, HEIGHT), depth=True, noise=True),
         stepping="async",
     )
     observation, _ = env.reset(seed=0)

@@ -32,7 +32,7 @@ with tempfile.TemporaryDirectory() as folder:
     setup = board_setup("fr3", "wrist")  # a board on the table, and what the lab's file says of the camera
     mounted = MountedCamera.of(setup, "wrist")
     board = ShowBoardOptions(**setup.task_options)
-    env = rcs.make(replace(setup, calibration=str(truth)))
+    env = rcs.make(replace(setup, cameras=replace(setup.cameras, calibration=str(truth))))
     lens = Tour(env).intrinsics("wrist")
     strategy = BoardStrategy(mounted.rig(lens, board.pose), board.board, views=12)
     found = calibrate(env, strategy, "wrist", is_free=FreePath(env, "fr3"))
@@ -49,7 +49,7 @@ with tempfile.TemporaryDirectory() as folder:
     )
 
     # From now on, whatever is made with this file has the camera there, and can watch that it stays there.
-    with rcs.make(replace(setup, calibration=str(file))) as env:
+    with rcs.make(replace(setup, cameras=replace(setup.cameras, calibration=str(file)))) as env:
         check = drift_check(env, "wrist")
         tour = Tour(env)
         for view in strategy.joints[:6]:

@@ -18,13 +18,13 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 from gymnasium import spaces
-from rcs_data.record import Record, valid_values
+from rcs_data.record import Record, accepted, valid_values
 
 import rcs
 from rcs.devices import lookup
 from rcs.envs import Task
 from rcs.envs.reward import RewardKind
-from rcs.envs.setup import AtEnd, Options, RelativeTo
+from rcs.envs.setup import AtEnd, RelativeTo
 from rcs.envs.spaces import UNITS, Control
 from rcs.robots import ArmDescription, CameraDescription, GripperDescription, HandDescription
 from rcs.setups import CameraMount, Lab, ids, lab_of, tasks_of
@@ -238,6 +238,13 @@ def camera_table(lab: Lab) -> str:
     return table(head, [row(name, mount) for name, mount in lab.cameras.items()])
 
 
+PLAIN = {
+    "Whole": "int", "Natural": "int", "Edge": "int", "Size": "tuple[int, int]", "Positive": "float", "Share": "float",
+    "NotNegative": "float",
+}  # fmt: skip
+"""Types with bounds, as people read them; what is out of bounds is refused in words."""
+
+
 def choices(annotation: str) -> str:
     """Return an annotation as people read it: a list of values where it has some."""
     shown = []
@@ -252,12 +259,14 @@ def choices(annotation: str) -> str:
 def options_table(kind: Any) -> str:
     """Return the fields of a dataclass with their defaults."""
     rows = []
-    wider = Options.__annotations__ if kind is rcs.Setup else {}  # `rcs.make` takes more than a setup keeps
+    wider = {one.name: accepted(one) for one in dataclasses.fields(kind) if "converter" in one.metadata}
     for name, annotation, default, told in fields_of(kind):
-        annotation = getattr(wider.get(name), "__forward_arg__", annotation)
+        annotation = re.sub(r"Annotated\[(\w+), .*?\)\]", r"\1", wider.get(name, annotation))
+        annotation = re.sub(r"\b(\w+)\b", lambda word: PLAIN.get(word[1], word[1]), annotation)
         shown = f'"{default}"' if isinstance(default, str) else str(default)
         given = "" if default is dataclasses.MISSING else f"`{shown}`"
-        valid = valid_values(get_type_hints(kind, include_extras=True)[name]) if issubclass(kind, Record) else ""
+        is_checked = issubclass(kind, Record) and name not in wider
+        valid = valid_values(get_type_hints(kind, include_extras=True)[name]) if is_checked else ""
         rows.append((f"`{name}`", valid or choices(annotation), given, told))
     return table(("option", "type", "default", "meaning"), rows)
 
@@ -343,7 +352,7 @@ def robot_page(robot: str) -> str:
     parts.append(table(head, [(f"`{name}`", *map(number, figures)) for name, *figures in rows]))
     parts += ["## Cameras\n", camera_table(lab)]
     has_depth = all(lookup.find("camera", mount.camera).has_depth for mount in lab.cameras.values())
-    env = rcs.make("Free", robot=robot, cameras=tuple(lab.cameras), depth=has_depth)
+    env = rcs.make("Free", robot=robot, cameras=rcs.Cameras(names=tuple(lab.cameras), depth=has_depth))
     named = "all cameras and `depth=True`" if has_depth else "all cameras"
     parts += [f"## Observation\n\nWith {named}:\n", space_table(env.observation_space)]
     env.close()
@@ -374,6 +383,11 @@ def options_page() -> str:
         '`rcs.make` takes in the place of a task. `relative=True` is short for `"last_step"`, `relative=False` for '
         '`"absolute"`.\n',
         options_table(rcs.Setup),
+        "## Fields of `Cameras`\n",
+        "`cameras=` takes names, `all`, mounts of your own by name, or `rcs.Cameras(...)` with these. On the command "
+        "line they stand beside the others: `--cameras`, `--image-size`, `--camera-mode`, `--camera-fps`, "
+        "`--camera-noise`, `--depth` and so on.\n",
+        options_table(rcs.Cameras),
         "## Arguments of `rcs.make`\n",
         "They are about this run, and are not stored.\n",
         table(("argument", "meaning"), rows),

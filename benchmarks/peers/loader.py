@@ -73,7 +73,9 @@ def main(options: Options) -> None:
 
 def prepared(folder: Path, options: Options) -> dict[str, tuple[Path, str, Path]]:
     """Collect and export; return each loader's Python, program and data."""
-    setup = rcs.Setup(task="PickCuboid", robot="fr3", cameras=("wrist", "side"), image_size=(224, 224))
+    setup = rcs.Setup(
+        task="PickCuboid", robot="fr3", cameras=rcs.Cameras(names=("wrist", "side"), image_size=(224, 224))
+    )
     for colour in ("jpeg", "h264"):
         wanted = Collection(setup=setup, out=folder / colour, episodes=options.episodes, seed=1, colour=colour)
         for _ in collect(wanted, Progress()):

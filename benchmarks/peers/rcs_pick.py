@@ -12,7 +12,7 @@ import rcs
 def main() -> None:
     """Measure and print."""
     size = int(sys.argv[1])
-    look = {"cameras": ("side",), "image_size": size, "pixels": rcs.Pixels()} if size else {}
+    look = {"cameras": rcs.Cameras(names=("side",), image_size=size, pixels=rcs.Pixels())} if size else {}
     copies = 24 if size else 32
     envs = rcs.make_vec(
         "PickCuboid", copies=copies, threads=2, observe=("privileged",), collision_reaction=False, **look

@@ -1,10 +1,14 @@
+from rcs_data import Dataset as Dataset
+
 from rcs import agents as agents
+from rcs import calibration as calibration
 from rcs import devices as devices
 from rcs import envs as envs
 from rcs import errors as errors
 from rcs import hardware as hardware
 from rcs import kinematics as kinematics
 from rcs import planning as planning
+from rcs import policy as policy
 from rcs import rl as rl
 from rcs import robots as robots
 from rcs import rollout as rollout
@@ -14,11 +18,15 @@ from rcs import spatial as spatial
 from rcs import tasks as tasks
 from rcs import testing as testing
 from rcs import virtual as virtual
+from rcs.envs.cameras import Cameras as Cameras
+from rcs.envs.env import Env as Env
 from rcs.envs.observers.record import record as record
 from rcs.envs.observers.record import record_all as record_all
 from rcs.envs.observers.twin import attach_twin as attach_twin
 from rcs.envs.setup import Setup as Setup
+from rcs.envs.vector import VecEnv as VecEnv
 from rcs.hardware.site import Site as Site
+from rcs.robots.camera_mount import CameraMount as CameraMount
 from rcs.robots.compliance import Compliance as Compliance
 from rcs.rollout.episode import run_episode as run_episode
 from rcs.rollout.evaluate import evaluate as evaluate

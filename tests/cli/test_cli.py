@@ -85,7 +85,7 @@ def test_an_error_at_the_beginning_stands_alone(
 
 def test_randomised_episodes_are_collected_and_replayed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     options = ["--episodes", "2", "--cameras", "none", "--workers", "1", "--out", str(tmp_path / "varied")]
-    assert call(capsys, "collect", "PickCuboid", "--randomise", "default", *options)[0] == 0
+    assert call(capsys, "collect", "PickCuboid", "--randomisation", "default", *options)[0] == 0
     assert "object_mass" in Dataset.open(tmp_path / "varied").episodes[0].outcome["randomisation"]
     assert call(capsys, "data", "replay", str(tmp_path / "varied"))[0] == 0
 
@@ -143,7 +143,7 @@ def test_every_task_is_collected_with_the_cameras_of_its_robots_lab(
     code, told = call(capsys, "collect", task, *options, "--out", str(tmp_path / "set"))
     assert code == 0, told
     dataset = Dataset.open(tmp_path / "set")
-    assert dataset.info.setup["cameras"] == list(lab_of(robot).cameras)
+    assert dataset.info.setup["cameras"]["names"] == list(lab_of(robot).cameras)
     assert dataset.episodes[0].success
 
 

@@ -37,8 +37,8 @@ def test_it_tells_the_rate_and_leaves_figures_and_videos(capsys: pytest.CaptureF
 def test_options_of_the_task_and_layers_are_part_of_the_setup(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    options = ("--task-option", "lift_height=0.05", "--task-option", "hold_time=0.5", "--reward", "sparse")
-    layers = ("--layers", "rcs.envs.layers:BinaryGripper", "--frequency", "20", "--absolute")
+    options = ("--task-options", "lift_height=0.05", "hold_time=0.5", "--reward", "sparse")
+    layers = ("--layers", "rcs.envs.layers:BinaryGripper", "--frequency", "20", "--relative", "absolute")
     code, told = call(
         capsys, "PickCuboid", *options, *layers, "--episodes", "1", "--workers", "1", "--out", str(tmp_path)
     )
@@ -71,9 +71,9 @@ def test_no_evaluation_is_mixed_with_another(
     [
         (["PickCuboid", "--agent", "PickExpart"], ["PickExpart", "Did you mean 'PickExpert'"]),
         (["PickCuboid", "--layers", "BinaryGriper"], ["BinaryGriper"]),
-        (["PickCuboid", "--task-option", "hold_time"], ["'hold_time'", "name=value"]),
-        (["PickCuboid", "--task-option", "hold_tyme=1"], ["hold_tyme", "valid: lift_height, hold_time"]),
-        (["PickCuboid", "--task-option", "reward=sparse"], ["no option of a task but of the setup"]),
+        (["PickCuboid", "--task-options", "hold_time"], ["'hold_time'", "name=value"]),
+        (["PickCuboid", "--task-options", "hold_tyme=1"], ["hold_tyme", "valid: lift_height, hold_time"]),
+        (["PickCuboid", "--task-options", "reward=sparse"], ["no option of a task but of the setup"]),
         (["PickCuboid", "--reward", "dense", "--discount", "1"], ["discount is 1"]),
         (["PickCuboid", "--videos", "-1"], ["videos is -1"]),
         (["PickCuboid", "--workers", "-1"], ["workers is -1"]),

@@ -8,6 +8,7 @@ import pytest
 
 from rcs.cli.main import main
 from rcs.cli.sim import SimCommand
+from rcs.sim.randomisation import Randomisation
 
 
 def help_of(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -32,16 +33,16 @@ def test_an_option_has_its_value_and_its_default(capsys: pytest.CaptureFixture[s
     told = help_of(capsys, "collect")
     assert "usage: rcs collect [-h] [OPTIONS] TASK" in told
     for words in (
-        "--robot ROBOT Name of the robot. (default: fr3)",
-        "--end-effector EFFECTOR Name of the end effector; the robot's usual one by default. --task-option",
-        "--cameras [CAMERA ...] Cameras;",
-        "--image-size INT Width and height of every frame in pixels. (default: 224)",
-        "--camera-fps FLOAT ",
+        "--robot [ROBOT ...] Robot by name",
+        "--end-effector [EFFECTOR ...] Name of the gripper or hand",
+        "--cameras [CAMERA ...] Cameras of",
+        "--image-size [INT ...] Width and height of every frame [px]",
+        "--camera-fps [FLOAT ...] ",
         "--control {joints,tquat,xyzrpy,twist} ",
         "--observe [{torques,wrench,contacts,privileged} ...] ",
-        "--task-option NAME=VALUE ",
-        "--seed INT Same seed, same episodes. (default: 0)",
-        "--depth Frames have depth too. --segmentation",
+        "--task-options [NAME=VALUE ...] ",
+        "--seed INT Random seed of the episodes. (default: 0)",
+        "--depth [{true,false}] Add depth to frames",
     ):
         assert words in told
 
@@ -51,7 +52,7 @@ def test_an_option_has_its_value_and_its_default(capsys: pytest.CaptureFixture[s
     [
         ("train", "--video, --no-video Film an episode at every evaluation, for the report. (default: True)"),
         ("data export", "--compress, --no-compress Whether to compress"),
-        ("collect", "--collision-reaction, --no-collision-reaction Stop an arm"),
+        ("collect", "--collision-reaction [{true,false}] Put a simulated arm that collides into its fault state"),
         ("collect", "--report, --no-report Write report.html. (default: True)"),
     ],
 )
@@ -68,14 +69,16 @@ def test_of_a_simulation_it_says_that_nobody_acts_unless_asked(capsys: pytest.Ca
 @pytest.mark.parametrize(
     ("words", "preset"),
     [
-        (["PickCuboid", "--randomise", "--paused"], "default"),
-        (["--randomise", "PickCuboid"], "default"),
-        (["PickCuboid", "--randomise"], "default"),
-        (["PickCuboid", "--randomise", "strong"], "strong"),
+        (["PickCuboid", "--randomisation", "--paused"], "default"),
+        (["--randomisation", "PickCuboid"], "default"),
+        (["PickCuboid", "--randomisation"], "default"),
+        (["PickCuboid", "--randomisation", "strong"], "strong"),
         (["PickCuboid"], "none"),
     ],
 )
-def test_randomise_alone_is_the_default_preset(monkeypatch: pytest.MonkeyPatch, words: list[str], preset: str) -> None:
+def test_randomisation_alone_is_the_default_preset(
+    monkeypatch: pytest.MonkeyPatch, words: list[str], preset: str
+) -> None:
     seen: list[SimCommand] = []
 
     def run(self: SimCommand) -> int:
@@ -86,12 +89,12 @@ def test_randomise_alone_is_the_default_preset(monkeypatch: pytest.MonkeyPatch, 
     with pytest.raises(SystemExit) as ended:
         main(["sim", *words])
     assert not ended.value.code
-    assert [one.randomise for one in seen] == [preset]
+    assert [one.setup().randomisation for one in seen] == [Randomisation.of(preset)]
 
 
 def test_an_unknown_preset_is_refused_with_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["sim", "PickCuboid", "--randomise", "wild"])
+        main(["sim", "PickCuboid", "--randomisation", "wild"])
     assert ended.value.code == 2
     told = capsys.readouterr()
     assert "mild" in told.out + told.err

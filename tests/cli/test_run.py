@@ -90,7 +90,7 @@ def test_a_policy_that_is_gone_ends_the_run_with_figures_of_the_episodes_before(
             threading.Thread(target=server.close).start()
         return example.chunk(seen, instruction)
 
-    options = ["--episodes", "9", "--max-steps", "90", "--out", str(out), "--record", str(data)]
+    options = ["--episodes", "9", "--max-episode-steps", "90", "--out", str(out), "--record", str(data)]
     with Server(ScriptedPolicy(chunk, example.METADATA), port=0) as server:
         assert rcs("run", "--policy", str(server.address), *options) == 1
     said = capsys.readouterr()

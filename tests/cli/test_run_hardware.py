@@ -90,7 +90,7 @@ def test_a_policy_moves_the_devices_of_a_site_and_a_person_judges(
 
     monkeypatch.setattr("builtins.input", answer)
     out, data = tmp_path / "out", tmp_path / "data"
-    words = ["--policy", address, "--hardware", str(site), "--judge", "--episodes", "3", "--max-steps", "15"]
+    words = ["--policy", address, "--hardware", str(site), "--judge", "--episodes", "3", "--max-episode-steps", "15"]
     assert run(*words, "--out", str(out), "--record", str(data)) == 0
     figures = json.loads((out / "evaluation.json").read_text())
     assert [each["success"] for each in figures["results"]] == [True, False, None]
@@ -108,7 +108,18 @@ def test_devices_hold_when_the_server_dies_in_an_episode(arms: list[FakeArm], tm
     served, address = serve(3)
     try:
         data = tmp_path / "data"
-        words = ["--policy", address, "--hardware", "fake", "--episodes", "1", "--max-steps", "60", "--on-loss", "end"]
+        words = [
+            "--policy",
+            address,
+            "--hardware",
+            "fake",
+            "--episodes",
+            "1",
+            "--max-episode-steps",
+            "60",
+            "--on-loss",
+            "end",
+        ]
         assert run(*words, "--out", str(tmp_path / "out"), "--record", str(data)) == 0
         episode = Dataset.open(data).episodes[0]
         assert 2 < len(episode.column("notes/policy_is_held")) < 60
@@ -122,7 +133,7 @@ def test_without_an_end_devices_stay_where_they_are_until_the_server_is_back(tmp
     served, address = serve(3)
     try:
         data = tmp_path / "data"
-        words = ["--policy", address, "--hardware", "fake", "--episodes", "1", "--max-steps", "60"]
+        words = ["--policy", address, "--hardware", "fake", "--episodes", "1", "--max-episode-steps", "60"]
         assert run(*words, "--out", str(tmp_path / "out"), "--record", str(data)) == 0
         episode = Dataset.open(data).episodes[0]
         held = np.asarray(episode.column("notes/policy_is_held")).astype(bool)
@@ -139,7 +150,7 @@ def test_a_device_that_fails_ends_the_run_and_says_why(
 ) -> None:
     tripping = threading.Timer(1.5, lambda: arms[0].trip("collision"))
     tripping.start()
-    words = ["--policy", address, "--hardware", "fake", "--episodes", "3", "--max-steps", "3000"]
+    words = ["--policy", address, "--hardware", "fake", "--episodes", "3", "--max-episode-steps", "3000"]
     assert run(*words, "--out", str(tmp_path / "out")) == 1
     assert "collision" in capsys.readouterr().err
     figures = json.loads((tmp_path / "out" / "evaluation.json").read_text())

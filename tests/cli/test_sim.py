@@ -41,7 +41,7 @@ def test_without_a_display_it_serves_a_page_until_it_is_told_to_end(number: sign
         (["PickCubiod"], ["PickCubiod", "Did you mean 'PickCuboid'"]),
         (["PickCuboid", "--robot", "fr4"], ["fr4", "Did you mean 'fr3'"]),
         (["PickCuboid", "--cameras", "wirst"], ["wirst", "Did you mean 'wrist'"]),
-        (["PickCuboid", "--task-option", "hold_time"], ["'hold_time'", "name=value"]),
+        (["PickCuboid", "--task-options", "hold_time"], ["'hold_time'", "name=value"]),
         (["PickCuboid", "--frequency", "0"], ["frequency is 0"]),
         (["LiftBar", "--robot", "fr3"], ["--robot", "dual_fr3"]),
         (["PickCuboid", "--port", "70000"], ["port is 70000", "65535"]),

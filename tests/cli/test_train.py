@@ -100,7 +100,7 @@ def test_what_it_does_is_recorded_with_cameras_that_it_does_not_need(
     from rcs_data import Dataset
 
     dataset = Dataset.open(tmp_path / "d")
-    assert dataset.info.setup["cameras"] == ["wrist"]
+    assert dataset.info.setup["cameras"]["names"] == ["wrist"]
     assert [episode.length for episode in dataset] == [7]
 
 

@@ -89,9 +89,7 @@ class TestPickCuboidWithCameras(Made):
     steps = 2
     options: ClassVar[dict[str, Any]] = {
         "task": "PickCuboid",
-        "cameras": ("wrist", "side"),
-        "image_size": (24, 16),
-        "depth": True,
+        "cameras": rcs.Cameras(names=("wrist", "side"), image_size=(24, 16), depth=True),
     }
 
 

@@ -64,7 +64,7 @@ def test_there_is_no_picture_without_opengl(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_what_a_setup_says_is_text_and_no_markup() -> None:
-    env = rcs.make("Free", hardware="fake", calibration=None)
+    env = rcs.make("Free", hardware="fake", cameras=rcs.Cameras(calibration=None))
     title = rcs.make("Free", hardware="fake")
     title._title = "<script>"
     assert "<script>" not in shown(title)

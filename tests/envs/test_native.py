@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rcs_data import Dataset
 
 import rcs
-from rcs.cli.runs import SetupOptions
+from rcs.cli.setup_options import Flags, SetupOptions
 from rcs.devices import Arm, CommandKind
 from rcs.devices.fakes import Body, FakeArm, FakeGripper
 from rcs.envs.env import Env
@@ -239,7 +239,7 @@ def test_another_tcp_than_that_of_the_setup_is_refused(monkeypatch: pytest.Monke
     ("options", "match"),
     [
         ({"control": "joints"}, "valid with it: 'tquat', 'xyzrpy', 'twist'"),
-        ({"control": "twist", "stepping": "sync"}, "does not tell it"),
+        ({"control": "twist", "stepping": "sync"}, "does not report it"),
         ({"control": "twist", "native": "yes"}, "native is 'yes'; valid: True, False"),
     ],
 )
@@ -268,4 +268,4 @@ def test_a_twin_needs_joint_targets() -> None:
 
 
 def test_the_command_line_has_it() -> None:
-    assert SetupOptions(task="Free", cameras=("none",), control="twist", native=True).setup().native
+    assert SetupOptions(task="Free", environment=Flags(control="twist", native=True)).setup().native

@@ -133,7 +133,7 @@ def test_without_autoreset_copies_wait_for_the_caller(threads: int) -> None:
 
 @pytest.mark.gl
 def test_cameras_of_a_batch_see_what_those_of_single_environments_see() -> None:
-    cameras = {"cameras": ("wrist", "side"), "image_size": (24, 16), "depth": True}
+    cameras = {"cameras": rcs.Cameras(names=("wrist", "side"), image_size=(24, 16), depth=True)}
     envs, singles = make_pair(AutoresetMode.NEXT_STEP, 2, **cameras)
     observation, _ = envs.reset(seed=5)
     assert "with cameras" in repr(envs)

@@ -11,18 +11,18 @@ import rcs
 from rcs.rollout.collect import Collection, Progress, collect
 
 SETUPS = {
-    "fr3": {"cameras": ("wrist", "side"), "depth": True},
-    "ur5e": {"cameras": ("wrist",), "control": "tquat"},
-    "so101": {"cameras": ("wrist", "diagonal"), "camera_fps": 15.0},
-    "dual_fr3": {"task": "LiftBar", "cameras": ("left_wrist",)},
-    "xarm7": {"task": "PickToy", "cameras": ("front",), "randomisation": True},
+    "fr3": {"cameras": rcs.Cameras(names=("wrist", "side"), image_size=64, depth=True)},
+    "ur5e": {"cameras": rcs.Cameras(names="wrist", image_size=64), "control": "tquat"},
+    "so101": {"cameras": rcs.Cameras(names=("wrist", "diagonal"), image_size=64, fps=15.0)},
+    "dual_fr3": {"task": "LiftBar", "cameras": rcs.Cameras(names="left_wrist", image_size=64)},
+    "xarm7": {"task": "PickToy", "cameras": rcs.Cameras(names="front", image_size=64), "randomisation": True},
 }
 
 
 @pytest.mark.gl
 @pytest.mark.parametrize("robot", SETUPS)
 def test_the_episodes_of_the_scripted_expert_have_no_finding(tmp_path: Path, robot: str) -> None:
-    setup = rcs.Setup(**{"task": "PickCuboid", "robot": robot, "image_size": (64, 64), **SETUPS[robot]})  # type: ignore[arg-type]
+    setup = rcs.Setup(**{"task": "PickCuboid", "robot": robot, **SETUPS[robot]})  # type: ignore[arg-type]
     episodes = 2
     list(collect(Collection(setup=setup, out=tmp_path / "set", episodes=episodes, seed=1), Progress()))
     report = check(tmp_path / "set")

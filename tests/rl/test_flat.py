@@ -336,7 +336,7 @@ def test_gymnasium_s_wrappers_and_checks_take_the_maps() -> None:
 @pytest.mark.gl
 @pytest.mark.parametrize("copies", [None, 2])
 def test_frames_are_planes_of_uint8_beside_the_state(copies: int | None) -> None:
-    options: dict[str, Any] = {"cameras": ("wrist", "side"), "image_size": (48, 40), "depth": True}
+    options: dict[str, Any] = {"cameras": rcs.Cameras(names=("wrist", "side"), image_size=(48, 40), depth=True)}
     env: Env | VecEnv = rcs.make(**options) if copies is None else rcs.make_vec(copies=copies, **options)
     flat = Flat(env)
     assert isinstance(flat.observation_space, spaces.Dict)
@@ -382,7 +382,9 @@ def test_the_maps_need_no_torch(run_program: Callable[..., Any]) -> None:
 
 @pytest.mark.parametrize("pixels", [rcs.Pixels(), rcs.Pixels(grayscale=True, stack=2)])
 def test_pixels_that_are_planes_already_stay_as_they_are(pixels: rcs.Pixels) -> None:
-    envs = rcs.make_vec("PickCuboid", copies=2, cameras=("side",), image_size=(16, 12), pixels=pixels)
+    envs = rcs.make_vec(
+        "PickCuboid", copies=2, cameras=rcs.Cameras(names=("side",), image_size=(16, 12), pixels=pixels)
+    )
     flat = Flat(envs)
     observation, _ = envs.reset(seed=0)
     seen = observation["frames"]["side"]["pixels"]

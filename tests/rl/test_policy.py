@@ -30,7 +30,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any, str], Path]
             algorithm, _, sees = name.partition(" ")
             training = small.training(algorithm)
             if sees:
-                setup = replace(training.setup, cameras=("wrist", "side"), image_size=(40, 40), observe=())
+                setup = replace(training.setup, cameras=rcs.Cameras(names=("wrist", "side"), image_size=40), observe=())
                 training = replace(training, setup=setup, steps=40)
             made[name] = tmp_path_factory.mktemp("runs") / algorithm
             small.run(training, made[name])

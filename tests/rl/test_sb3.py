@@ -51,7 +51,10 @@ def succeed_at(monkeypatch: pytest.MonkeyPatch, envs: VecEnv, copy: int, steps: 
 def test_trajectories_are_those_of_the_copies_mapped_by_flat(
     monkeypatch: pytest.MonkeyPatch, cameras: tuple[str, ...]
 ) -> None:
-    plain, wrapped = copies(cameras=cameras, image_size=40), copies(cameras=cameras, image_size=40)
+    plain, wrapped = (
+        copies(cameras=rcs.Cameras(names=cameras, image_size=40)),
+        copies(cameras=rcs.Cameras(names=cameras, image_size=40)),
+    )
     for envs in (plain, wrapped):
         succeed_at(monkeypatch, envs, 1, [3])  # the first call judges the start
     learner, flat = Sb3VecEnv(wrapped), Flat(plain)
@@ -302,7 +305,7 @@ def test_ppo_learns_from_frames() -> None:
     from stable_baselines3 import PPO
 
     torch.set_num_threads(1)
-    learner = Sb3VecEnv(copies(cameras=("side", "wrist"), image_size=36, max_episode_steps=4))
+    learner = Sb3VecEnv(copies(cameras=rcs.Cameras(names=("side", "wrist"), image_size=36), max_episode_steps=4))
     model = PPO("MultiInputPolicy", learner, n_steps=8, batch_size=24, n_epochs=1, seed=0)
     model.learn(24)
     assert model.get_env() is learner  # nothing was wrapped around it to turn the frames

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.rl.algorithms import Bc, Dagger
@@ -26,7 +27,7 @@ TRAINING = Training(
     episodes=0,
     torch_threads=1,
 )
-CAMERAS = replace(SETUP, cameras=("wrist", "side"), image_size=(64, 64))
+CAMERAS = replace(SETUP, cameras=Cameras(names=("wrist", "side"), image_size=64))
 
 
 def learner(training: Training = TRAINING) -> Any:

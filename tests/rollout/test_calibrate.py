@@ -121,7 +121,7 @@ def test_a_camera_or_robot_that_is_not_there_is_refused(camera: str, robot: str 
 @pytest.mark.gl
 @pytest.mark.slow
 def test_in_real_time_pictures_count_only_when_the_arm_has_come_to_rest() -> None:
-    setup = replace(board_setup("fr3", "wrist"), stepping="realtime", image_size=(640, 480))
+    setup = replace(board_setup("fr3", "wrist", image_size=(640, 480)), stepping="realtime")
     options = ShowBoardOptions(**setup.task_options)
     asked: list[bool] = []
 

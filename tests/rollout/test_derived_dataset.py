@@ -64,7 +64,7 @@ def test_a_mix_of_different_setups_is_refused_with_what_differs(dataset: Path, t
 @pytest.mark.gl
 @pytest.mark.parametrize("kind", REPLAYS)
 def test_data_of_several_robots_replay_in_every_way(tmp_path: Path, kind: str) -> None:
-    options = {"task": "LiftBar", "robot": "dual_fr3", "cameras": ("front",), "image_size": 32}
+    options = {"task": "LiftBar", "robot": "dual_fr3", "cameras": rcs.Cameras("front", image_size=32)}
     source = recorded(tmp_path / "source", **options)
     list(REPLAYS[kind](source, tmp_path / "out"))
     old, new = Dataset.open(source).episodes, Dataset.open(tmp_path / "out").episodes

@@ -23,8 +23,11 @@ SIZE = 48
 
 
 def recorded(out: Path, *, colour: Any = "jpeg", **options: Any) -> Path:
-    usual: dict[str, Any] = {"cameras": ("wrist", "side"), "image_size": (SIZE, SIZE), "max_episode_steps": 40}
-    setup = rcs.Setup(**{**usual, **options})
+    usual: dict[str, Any] = {"names": ("wrist", "side"), "image_size": SIZE}
+    usual |= {name: options.pop(name) for name in ("depth", "noise", "fps") if name in options}
+    if "cameras" in options:
+        usual["names"] = options.pop("cameras")
+    setup = rcs.Setup(cameras=rcs.Cameras(**usual), **{"max_episode_steps": 40, **options})
     for _ in collect(Collection(setup=setup, out=out, episodes=2, seed=1, colour=colour), Progress()):
         pass
     return out
@@ -55,8 +58,8 @@ def assert_equal_but_for_frames(old: EpisodeRecord, new: EpisodeRecord) -> None:
     "options",
     [
         {},
-        {"depth": True, "camera_noise": True},
-        {"camera_fps": 15.0},
+        {"depth": True, "noise": True},
+        {"fps": 15.0},
         {"colour": "h264"},
         {"randomisation": True},
         {"render_quality": "full", "cameras": ("side",), "max_episode_steps": 2},
@@ -152,7 +155,7 @@ def test_new_looks_keep_the_physics_that_was_drawn(tmp_path: Path) -> None:
 
 def test_what_was_drawn_anew_still_replays_bit_for_bit(dataset: Path, tmp_path: Path) -> None:
     made = run(dataset, tmp_path / "out", cameras=("side",), image_size=32)
-    assert setup_of(made).cameras == ("side",)
+    assert setup_of(made).cameras.names == ("side",)
     assert physics_of(made) == setup_of(Dataset.open(dataset))
     assert all(result.is_equal for result in replay(tmp_path / "out"))
 

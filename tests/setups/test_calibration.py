@@ -59,7 +59,9 @@ def test_a_calibrated_camera_is_where_the_file_says_and_sees_as_it_says(tmp_path
 @pytest.mark.gl
 def test_frames_carry_the_calibrated_matrices(tmp_path: Path) -> None:
     path = write(tmp_path, SIDE)
-    env = rcs.make("Free", robot="fr3", cameras=("side",), image_size=(640, 480), calibration=str(path))
+    env = rcs.make(
+        "Free", robot="fr3", cameras=rcs.Cameras(names=("side",), image_size=(640, 480), calibration=str(path))
+    )
     frame = env.reset(seed=0)[0]["frames"]["side"]
     assert frame["intrinsics"][0, 0] == pytest.approx(500.0)
     np.testing.assert_allclose(frame["extrinsics"][:3, 3], SIDE["translation"], atol=1e-9)
@@ -70,7 +72,7 @@ def test_frames_carry_the_calibrated_matrices(tmp_path: Path) -> None:
     ("changes", "text"),
     [
         ({"quaternion": [1.0, 1.0, 0.0, 0.0]}, "norm"),
-        ({"fy": -1.0}, "side.*positive"),
+        ({"fy": -1.0}, "side.*fy is -1.0; valid: a finite number above 0"),
         ({"cx": 700.0}, "side.*principal point"),
         ({"distortion": [0.1, 0.2]}, "side.*k1, k2, p1, p2 and k3"),
         ({"distortion": [0.1] * 8}, "side.*k1, k2, p1, p2 and k3"),
@@ -89,7 +91,7 @@ def test_a_file_that_makes_no_sense_is_refused(tmp_path: Path, changes: dict[str
 
 def test_missing_files_and_unknown_cameras_are_told(tmp_path: Path) -> None:
     with pytest.raises(InvalidSetup, match="cannot be read"):
-        rcs.make("Free", robot="fr3", calibration=str(tmp_path / "none.json"))
+        rcs.make("Free", robot="fr3", cameras=rcs.Cameras(calibration=str(tmp_path / "none.json")))
     with pytest.raises(InvalidSetup, match=r"\['top'\].*side.*wrist"):
         calibrated(LAB, write(tmp_path, SIDE, name="top"))
     (tmp_path / "broken.json").write_text("{")
@@ -119,10 +121,12 @@ def test_an_unknown_key_at_the_top_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("size", [(640, 480), (224, 224), (320, 180)])
 def test_simulation_and_device_tell_the_same_matrices_and_distortion(tmp_path: Path, size: tuple[int, int]) -> None:
     path = str(write(tmp_path, {**SIDE, **LENS}))
-    simulated = rcs.make("Free", robot="fr3", cameras=("side",), image_size=size, calibration=path)
+    simulated = rcs.make("Free", robot="fr3", cameras=rcs.Cameras(names=("side",), image_size=size, calibration=path))
     device = FakeCamera(CameraMode(640, 480, 30.0, False), name="side")
     site = Site(arms={"fr3": "fake"}, grippers={"fr3": "fake"}, cameras={"side": device})
-    real = rcs.make("Free", robot="fr3", cameras=("side",), image_size=size, calibration=path, hardware=site)
+    real = rcs.make(
+        "Free", robot="fr3", cameras=rcs.Cameras(names=("side",), image_size=size, calibration=path), hardware=site
+    )
     frames = [env.reset(seed=0)[0]["frames"]["side"] for env in (simulated, real)]
     for key in ("intrinsics", "distortion", "extrinsics"):
         np.testing.assert_allclose(frames[0][key], frames[1][key], rtol=1e-12, atol=1e-12)
@@ -144,7 +148,7 @@ def test_a_devices_own_calibration_is_used_whole_also_when_it_is_known_only_afte
 
     device = LateCamera(CameraMode(640, 480, 30.0, False), name="overhead")
     site = Site(arms={"ur5e": "fake"}, grippers={"ur5e": "fake"}, cameras={"overhead": device})
-    env = rcs.make("Free", robot="ur5e", cameras=("overhead",), image_size=(320, 240), hardware=site)
+    env = rcs.make("Free", robot="ur5e", cameras=rcs.Cameras(names=("overhead",), image_size=(320, 240)), hardware=site)
     frame = env.reset(seed=0)[0]["frames"]["overhead"]
     half = [[300.0, 0.0, 165.25], [0.0, 301.0, 117.75], [0.0, 0.0, 1.0]]
     np.testing.assert_allclose(frame["intrinsics"], half)
@@ -161,13 +165,20 @@ def test_a_calibration_of_another_shape_than_the_devices_pictures_is_refused(tmp
     device = FakeCamera(CameraMode(640, 360, 30.0, False), name="side")
     site = Site(arms={"fr3": "fake"}, grippers={"fr3": "fake"}, cameras={"side": device})
     with pytest.raises(InvalidSetup, match=r"delivers 640 x 360 px.*those of 640 x 480 px"):
-        rcs.make("Free", robot="fr3", cameras=("side",), calibration=str(write(tmp_path, SIDE)), hardware=site)
+        rcs.make(
+            "Free",
+            robot="fr3",
+            cameras=rcs.Cameras(names=("side",), calibration=str(write(tmp_path, SIDE))),
+            hardware=site,
+        )
 
 
 @pytest.mark.gl
 def test_a_recording_keeps_matrix_distortion_covariance_and_the_files_hash(tmp_path: Path) -> None:
     path = write(tmp_path, {**SIDE, **LENS, "pose_covariance": COVARIANCE})
-    env = rcs.make("Free", robot="fr3", cameras=("side", "wrist"), image_size=(64, 48), calibration=str(path))
+    env = rcs.make(
+        "Free", robot="fr3", cameras=rcs.Cameras(names=("side", "wrist"), image_size=(64, 48), calibration=str(path))
+    )
     with record(env, tmp_path / "takes") as takes:
         takes.start(at_reset=True)
         frame = env.reset(seed=0)[0]["frames"]["side"]

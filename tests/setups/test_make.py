@@ -33,10 +33,13 @@ def test_a_setup_makes_what_its_fields_make() -> None:
         ({"end_effector": "franka_hnd"}, ["end effector named 'franka_hnd'", "Did you mean 'franka_hand'?"]),
         ({"cameras": ("wirst",)}, ["lab of 'fr3'", "'wirst'", "Did you mean 'wrist'?", "side"]),
         ({"cameras": ("wrist", "top")}, ["'top'", "side, wrist"]),
-        ({"cameras": ("side",), "camera_mode": "848x484"}, ["mode of realsense_d435", "Did you mean '848x480'?"]),
-        ({"cameras": ("side",), "camera_mode": "large"}, ["mode of realsense_d435", "320x180, 320x240"]),
+        (
+            {"cameras": rcs.Cameras(names=("side",), mode="848x484")},
+            ["mode of realsense_d435", "Did you mean '848x480'?"],
+        ),
+        ({"cameras": rcs.Cameras(names=("side",), mode="large")}, ["mode of realsense_d435", "320x180, 320x240"]),
         # The D405 has it and the D435 has not.
-        ({"cameras": ("wrist", "side"), "camera_mode": "480x270"}, ["mode of realsense_d435", "1920x1080"]),
+        ({"cameras": rcs.Cameras(names=("wrist", "side"), mode="480x270")}, ["mode of realsense_d435", "1920x1080"]),
     ],
 )
 def test_an_unknown_name_gives_the_nearest_match(options: dict[str, Any], texts: list[str]) -> None:
@@ -66,8 +69,8 @@ def test_an_option_of_a_batch_that_makes_no_sense_is_refused(options: dict[str, 
 @pytest.mark.parametrize("make", [rcs.make, rcs.make_vec])
 def test_a_frame_rate_that_a_camera_does_not_have_is_refused_with_its_modes(make: Any) -> None:
     with pytest.raises(InvalidSetup, match=r"realsense_d435 does not deliver 90 .* 60 for that size.*848x480 at 6, 15"):
-        make("Free", cameras=("wrist", "side"), camera_fps=90)
-    make("Free", cameras=("wrist", "side"), camera_fps={"wrist": 90, "side": 60}).close()
+        make("Free", cameras=rcs.Cameras(names=("wrist", "side"), fps=90))
+    make("Free", cameras=rcs.Cameras(names=("wrist", "side"), fps={"wrist": 90, "side": 60})).close()
 
 
 def test_a_setup_and_options_exclude_each_other() -> None:
@@ -169,8 +172,13 @@ def test_an_unknown_autoreset_lists_the_valid_ones() -> None:
 
 
 def test_numbers_may_be_those_of_numpy() -> None:
-    options: dict[str, Any] = {"image_size": (np.int64(32), np.int32(24)), "frequency": np.float32(20)}
+    options: dict[str, Any] = {
+        "cameras": rcs.Cameras(image_size=(np.int64(32), np.int32(24))),
+        "frequency": np.float32(20),
+    }
     setup = rcs.Setup(task="Free", max_episode_steps=np.int64(7), **options)
-    assert setup == rcs.Setup(task="Free", max_episode_steps=7, image_size=(32, 24), frequency=20.0)
+    assert setup == rcs.Setup(
+        task="Free", max_episode_steps=7, cameras=rcs.Cameras(image_size=(32, 24)), frequency=20.0
+    )
     assert rcs.Setup.from_json(json.loads(json.dumps(setup.to_json()))) == setup
     assert rcs.make_vec("Free", copies=np.int64(2), threads=np.int64(1)).num_envs == 2

@@ -131,7 +131,7 @@ def test_a_camera_without_depth_gives_none(world: World) -> None:
 
 @pytest.mark.gl
 def test_the_matrices_of_a_camera_say_where_the_cuboid_is_in_the_picture() -> None:
-    env = rcs.make("PickCuboid", robot="ur5e", cameras=("wrist", "overhead"), image_size=(320, 240))
+    env = rcs.make("PickCuboid", robot="ur5e", cameras=rcs.Cameras(names=("wrist", "overhead"), image_size=(320, 240)))
     observation, info = env.reset(seed=4)
     frame = observation["frames"]["overhead"]
     camera_in_base, cuboid_in_base = frame["extrinsics"], info["cuboid"][:3]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import rcs
 from rcs.sim.randomisation import Randomisation
 
 pytestmark = pytest.mark.gl
-CAMERAS: dict[str, Any] = {"cameras": ("side", "wrist"), "image_size": 24}
+CAMERAS: dict[str, Any] = {"cameras": rcs.Cameras(names=("side", "wrist"), image_size=24)}
 STEPS = 12
 
 
@@ -22,9 +23,11 @@ def action(copies: int | None = None) -> dict[str, np.ndarray]:
     return {"joints": np.full((*leading, 7), 0.02), "gripper": np.ones((*leading, 1), np.float32)}
 
 
-def frames_of(ranges: Randomisation | None, seed: int = 0, **options: Any) -> tuple[list[Any], list[Any]]:
+def frames_of(
+    ranges: Randomisation | None, seed: int = 0, *, fps: float | None = None, **options: Any
+) -> tuple[list[Any], list[Any]]:
     """Return frames and ages of an episode, the start first."""
-    env: Any = rcs.make("Free", randomisation=ranges, **CAMERAS, **options)
+    env: Any = rcs.make("Free", randomisation=ranges, cameras=replace(CAMERAS["cameras"], fps=fps), **options)
     observation, _ = env.reset(seed=seed)
     frames, ages = [observation["frames"]], [{}]
     for _ in range(STEPS):
@@ -35,7 +38,7 @@ def frames_of(ranges: Randomisation | None, seed: int = 0, **options: Any) -> tu
     return frames, ages
 
 
-@pytest.mark.parametrize("options", [{}, {"camera_fps": 15.0}, {"frequency": 50}], ids=["30 Hz", "slow", "fast steps"])
+@pytest.mark.parametrize("options", [{}, {"fps": 15.0}, {"frequency": 50}], ids=["30 Hz", "slow", "fast steps"])
 def test_a_late_frame_is_the_one_of_its_age_before(options: dict[str, Any]) -> None:
     latency, frequency = 0.07, options.get("frequency", 30)
     fresh, none = frames_of(None, **options)
@@ -48,9 +51,7 @@ def test_a_late_frame_is_the_one_of_its_age_before(options: dict[str, Any]) -> N
             steps = round(age * frequency)
             assert age == pytest.approx(steps / frequency, abs=0.002)  # steps are whole physics steps
             # At the start, the first frame is new; then nothing is seen that had no time to come.
-            assert k - steps == 0 or latency - 1e-9 <= age < latency + 1.1 / frequency + 1 / options.get(
-                "camera_fps", 60
-            )
+            assert k - steps == 0 or latency - 1e-9 <= age < latency + 1.1 / frequency + 1 / options.get("fps", 60)
             for key, values in late[k][name].items():
                 np.testing.assert_array_equal(values, fresh[k - steps][name][key])
             seen.add(steps)

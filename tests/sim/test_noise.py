@@ -94,11 +94,13 @@ def test_a_shift_of_another_frames_noise_is_not_the_noise_of_this_one() -> None:
 
 @pytest.mark.gl
 def test_a_copy_has_the_noise_of_the_single_environment() -> None:
-    setup = rcs.Setup(cameras=("wrist", "side"), image_size=(48, 32), depth=True, camera_noise=True)
+    setup = rcs.Setup(cameras=rcs.Cameras(names=("wrist", "side"), image_size=(48, 32), depth=True, noise=True))
     single, batch = rcs.make(setup), rcs.make_vec(setup, copies=2)
     one, many = single.reset(seed=6)[0]["frames"], batch.reset(seed=5)[0]["frames"]
     require_same_bits(one, {name: {key: value[1] for key, value in part.items()} for name, part in many.items()})
-    clean = rcs.make("PickCuboid", cameras=("wrist",), image_size=(48, 32)).reset(seed=6)[0]["frames"]["wrist"]["rgb"]
+    clean = rcs.make("PickCuboid", cameras=rcs.Cameras(names=("wrist",), image_size=(48, 32))).reset(seed=6)[0][
+        "frames"
+    ]["wrist"]["rgb"]
     assert not np.array_equal(clean, one["wrist"]["rgb"])
     single.close()
     batch.close()

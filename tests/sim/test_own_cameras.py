@@ -35,7 +35,12 @@ def parts_with(change: Callable[[mujoco.MjSpec], None], *names: str, **options: 
     parts = resolve(setup)
     robots = tuple(replace(robot, arm=_changed(robot.arm, change)) for robot in parts.robots)
     found = cameras_of(robots)
-    return replace(parts, setup=replace(setup, cameras=names), robots=robots, cameras=tuple(map(found.get, names)))
+    return replace(
+        parts,
+        setup=replace(setup, cameras=replace(setup.cameras, names=names)),
+        robots=robots,
+        cameras=tuple(map(found.get, names)),
+    )
 
 
 def _changed(arm: ArmDescription, change: Callable[[mujoco.MjSpec], None]) -> ArmDescription:
@@ -98,7 +103,7 @@ def _shifted(spec: mujoco.MjSpec) -> None:
 
 @pytest.mark.gl
 def test_its_frames_are_those_that_mujocos_camera_in_the_file_draws() -> None:
-    parts = parts_with(add_cameras, "eye", "beside", image_size=(64, 48), depth=True)
+    parts = parts_with(add_cameras, "eye", "beside", cameras=rcs.Cameras(image_size=(64, 48), depth=True))
     env = assemble(parts)
     observation, _ = env.reset(seed=0)
     world = env.scenario.world

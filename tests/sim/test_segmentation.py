@@ -23,7 +23,7 @@ pytestmark = pytest.mark.gl
 
 SIZE = (112, 84)
 DRAWN = np.array([1, 1, 1, 0, 0, 0], np.uint8)
-WHOLE: dict[str, Any] = {"segmentation": True, "depth": True, "image_size": SIZE}
+WHOLE: Any = {"segmentation": True, "depth": True, "image_size": SIZE}
 
 
 def rays_of(frame: dict[str, Any], eye: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
@@ -62,7 +62,10 @@ def test_every_pixel_of_every_lab_is_what_a_ray_hits(robot: str, quality: Any) -
     lab = lab_of(robot)
     task = "PickToy" if robot == "fr3" else "LiftBar" if len(lab.stands) == 2 else "Free"
     env = rcs.make(
-        task, robot=robot, cameras=tuple(lab.cameras), render_quality=quality, segmentation=True, image_size=SIZE
+        task,
+        robot=robot,
+        cameras=rcs.Cameras(names=tuple(lab.cameras), segmentation=True, image_size=SIZE),
+        render_quality=quality,
     )
     observation, _ = env.reset(seed=3)
     assert env.observation_space.contains(observation)
@@ -82,7 +85,7 @@ def test_every_pixel_of_every_lab_is_what_a_ray_hits(robot: str, quality: Any) -
 
 
 def test_names_tell_robots_end_effectors_objects_and_cameras_apart() -> None:
-    env = rcs.make("PickCuboid", robot="fr3", cameras=("side",), **WHOLE)
+    env = rcs.make("PickCuboid", robot="fr3", cameras=rcs.Cameras("side", **WHOLE))
     model = env.scenario.world.model
     labels = Labels(model)
     assert {"table", "cuboid", "fr3", "fr3/gripper", "side", "floor"} <= set(labels.instances)
@@ -99,7 +102,7 @@ def test_names_tell_robots_end_effectors_objects_and_cameras_apart() -> None:
 def test_noise_changes_colours_and_depth_and_never_segmentation() -> None:
     frames = []
     for noise in (False, True):
-        env = rcs.make("PickCuboid", cameras=("side",), camera_noise=noise, **WHOLE)
+        env = rcs.make("PickCuboid", cameras=rcs.Cameras(names=("side",), noise=noise, **WHOLE))
         frames.append(env.reset(seed=1)[0]["frames"]["side"])
         env.close()
     clean, noisy = frames
@@ -110,7 +113,10 @@ def test_noise_changes_colours_and_depth_and_never_segmentation() -> None:
 
 
 def test_a_copy_has_the_segmentation_of_the_single_environment() -> None:
-    options: dict[str, Any] = {**WHOLE, "points": True, "randomisation": True, "cameras": ("wrist", "side")}
+    options: dict[str, Any] = {
+        "cameras": rcs.Cameras(names=("wrist", "side"), points=True, **WHOLE),
+        "randomisation": True,
+    }
     single, batch = rcs.make("PickCuboid", **options), rcs.make_vec("PickCuboid", copies=3, **options)
     one, many = single.reset(seed=6)[0]["frames"], batch.reset(seed=5)[0]["frames"]
     require_same_bits(one, {name: {key: value[1] for key, value in part.items()} for name, part in many.items()})
@@ -122,7 +128,9 @@ def test_a_copy_has_the_segmentation_of_the_single_environment() -> None:
 def test_the_colours_and_depth_beside_segmentation_are_those_without_it() -> None:
     frames = []
     for segmentation in (False, True):
-        env = rcs.make("PickCuboid", cameras=("side",), depth=True, segmentation=segmentation, image_size=SIZE)
+        env = rcs.make(
+            "PickCuboid", cameras=rcs.Cameras(names=("side",), depth=True, segmentation=segmentation, image_size=SIZE)
+        )
         frames.append(env.reset(seed=1)[0]["frames"]["side"])
         env.close()
     for key, values in frames[0].items():
@@ -130,7 +138,7 @@ def test_the_colours_and_depth_beside_segmentation_are_those_without_it() -> Non
 
 
 def test_recordings_have_segmentation_bit_for_bit_and_its_names(tmp_path: Path) -> None:
-    env = rcs.make("PickCuboid", cameras=("side",), points=True, **WHOLE)
+    env = rcs.make("PickCuboid", cameras=rcs.Cameras(names=("side",), points=True, **WHOLE))
     seen = []
     with record(env, tmp_path / "takes") as takes:
         takes.start(at_reset=True)
@@ -156,5 +164,7 @@ def test_recordings_have_segmentation_bit_for_bit_and_its_names(tmp_path: Path) 
 def test_real_cameras_are_refused_segmentation() -> None:
     with pytest.raises(InvalidSetup, match="no segmentation"):
         rcs.make(
-            "Free", cameras=("side",), segmentation=True, hardware=Site(arms={"fr3": "fake"}, cameras={"side": "fake"})
+            "Free",
+            cameras=rcs.Cameras(names=("side",), segmentation=True),
+            hardware=Site(arms={"fr3": "fake"}, cameras={"side": "fake"}),
         )

@@ -149,7 +149,7 @@ def test_the_task_and_its_expert_say_what_they_need() -> None:
 
 @pytest.mark.gl
 def test_the_first_frame_of_an_episode_shows_the_toy_where_it_lies() -> None:
-    setup = rcs.Setup(task="PickToy", robot="xarm7", cameras=("front",), image_size=(96, 96))
+    setup = rcs.Setup(task="PickToy", robot="xarm7", cameras=rcs.Cameras(names=("front",), image_size=(96, 96)))
     single, batch = rcs.make(setup), rcs.make_vec(setup, copies=2)
     one, _ = single.reset(seed=1)
     many, _ = batch.reset(seed=0)

@@ -137,7 +137,11 @@ def test_a_recorded_episode_replays_bit_for_bit(task: str, robot: str, tmp_path:
 def test_every_copy_is_drawn_as_its_single_environment(task: str, robot: str) -> None:
     view = {"PickCuboid": "side"}.get(task, "front")
     ranges = Ranges.off(object_size=(0.9, 1.1), object_colour=0.2)
-    options: dict[str, Any] = {"robot": robot, "randomisation": ranges, "cameras": (view,), "image_size": 64}
+    options: dict[str, Any] = {
+        "robot": robot,
+        "randomisation": ranges,
+        "cameras": rcs.Cameras(names=(view,), image_size=64),
+    }
     envs, single = rcs.make_vec(task, copies=2, **options), rcs.make(task, **options)
     plain = rcs.make(task, **{**options, "randomisation": None})
     frames = envs.reset(seed=7)[0]["frames"][view]["rgb"]

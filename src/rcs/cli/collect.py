@@ -6,7 +6,9 @@ import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
+import tyro
 from rcs_data.cli.console import plain_console
 from rcs_data.cli.program import INTERRUPTED
 from rcs_data.feature import Colour
@@ -14,6 +16,8 @@ from rcs_data.view import write_report
 from rich.console import Console
 
 from rcs.cli.runs import RunOptions, interruptible, results_table, show
+from rcs.cli.setup_options import flags
+from rcs.envs.setup import Setup
 from rcs.envs.step.approach import SPEED
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.site import Site
@@ -21,6 +25,11 @@ from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.evaluate import Summary
 from rcs.rollout.expert_ways import expert_diversity
 from rcs.rollout.operator import Operator, TerminalOperator, VirtualOperator, operator_of
+
+if TYPE_CHECKING:
+    CollectFlags = Setup
+else:
+    CollectFlags = flags(cameras="all")
 
 
 @dataclass(kw_only=True)
@@ -34,6 +43,9 @@ class CollectCommand(RunOptions):
     terminal says; after it, they say whether the task was done. A virtual robot does both by itself.
     """
 
+    environment: Annotated[CollectFlags, tyro.conf.OmitArgPrefixes] = field(default_factory=CollectFlags)
+    """The fields of `rcs.Setup` and `rcs.Cameras`, as in Python; but for cameras, which are all, as a dataset is to be
+    seen and learned from."""
     episodes: int = 20
     """Number of episodes in the finished dataset; partial episodes left by a kill do not count."""
     out: Path = field(default_factory=lambda: Path("datasets/collected"))
@@ -50,7 +62,7 @@ class CollectCommand(RunOptions):
     report: bool = True
     """Write report.html."""
     hardware: str | None = None
-    """What is real: the JSON file of a site, or `driver:address` for all arms with their end effectors. Cameras are
+    """Real devices: the JSON file of a site, or `driver:address` for all arms with their end effectors. Cameras are
     then those of the site, if none are given."""
     yes: bool = False
     """Do not ask whether real arms may go home: somebody watches them."""
@@ -66,10 +78,11 @@ class CollectCommand(RunOptions):
             raise InvalidSetup("One watches in this process; use --viewer without --ray and --ray-address.")
         if self.viewer and self.hardware:
             raise InvalidSetup("A real robot has no simulated scene to watch; use --viewer without --hardware.")
-        if self.hardware and self.cameras is None:
-            self.cameras = tuple(Site.read(self.hardware).cameras) if self.hardware.endswith(".json") else ()
+        cameras: Any = "all"
+        if self.hardware:
+            cameras = tuple(Site.read(self.hardware).cameras) if self.hardware.endswith(".json") else ()
         collection = Collection(
-            setup=self.setup("realtime" if self.viewer else "async"),
+            setup=self.setup("realtime" if self.viewer else None, cameras=cameras),
             out=self.out,
             episodes=self.episodes,
             seed=self.seed,
@@ -117,7 +130,7 @@ class CollectCommand(RunOptions):
             return
         if isinstance(operator, VirtualOperator):
             console.print(f"{operator.name} is a virtual robot, which places its objects and judges by itself.")
-        title = f"{collection.setup.task} on {collection.setup.robot}"
+        title = f"{collection.setup.task} on {collection.setup.robot_label}"
         show(attempts, title, self.episodes, console, progress, lambda: progress.kept)
 
 

@@ -27,8 +27,6 @@ class EvalCommand(RunOptions):
 
     episodes: int = 50
     """Number of episodes."""
-    cameras: tuple[str, ...] | None = ()
-    """Cameras that the agent sees; without them, episodes are fast."""
     video: bool = False
     """Write videos of the first ten episodes."""
     videos: int | None = None
@@ -56,7 +54,7 @@ class EvalCommand(RunOptions):
         started = time.perf_counter()
         try:
             with interruptible(summary, console):
-                title = f"{evaluation.setup.task} on {evaluation.setup.robot}"
+                title = f"{evaluation.setup.task} on {evaluation.setup.robot_label}"
                 attempts, made_by = self._attempts(evaluation, summary)
                 show(attempts, title, self.episodes, console, summary, lambda: len(summary.attempts))
         finally:

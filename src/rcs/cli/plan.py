@@ -12,7 +12,8 @@ from rcs_data.cli.console import plain_console
 from rcs_data.convert.png import encode_png
 from rcs_data.output import require_writable
 
-from rcs.cli.runs import SetupOptions, pose_of
+from rcs.cli.runs import pose_of
+from rcs.cli.setup_options import SetupOptions
 from rcs.envs.env import Env
 from rcs.envs.planner_for import ScenePlanner, planner_for
 from rcs.errors import InvalidSetup

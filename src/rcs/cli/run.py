@@ -14,7 +14,8 @@ from rcs_data.cli.program import INTERRUPTED
 from rcs_data.view import write_report
 from rich.console import Console
 
-from rcs.cli.runs import SetupOptions, evaluation_folder, interruptible, results_table, show
+from rcs.cli.runs import evaluation_folder, interruptible, results_table, show
+from rcs.cli.setup_options import SetupOptions
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
@@ -48,8 +49,6 @@ class RunCommand(SetupOptions):
     """Name of the task, such as PickCuboid, or `module:Class`."""
     episodes: int = 20
     """Number of episodes."""
-    max_steps: int | None = None
-    """Most steps of an episode; those of the setup, 300, when not given."""
     instruction: str | None = None
     """What the policy is told to do; what the task says when not given."""
     execution: Mode = "receding"
@@ -132,16 +131,13 @@ class RunCommand(SetupOptions):
 
     def _setup(self, metadata: Metadata) -> Setup:
         """Return the setup that the options ask for, and the policy where they say nothing."""
-        setup = self.setup("realtime" if self.real_time else "async")
-        given: set[str] = set()
-        if self.control != "joints" or self.absolute:
+        setup = self.setup("realtime" if self.real_time else None, cameras="all")
+        given = set(self.given)
+        if given & {"control", "relative"}:
             given |= {"control", "relative"}
-        if self.cameras is not None:
-            given.add("cameras")
-        if self.camera_mode is not None or self.image_size != SetupOptions.image_size:
+        if "camera_mode" in given:
             given.add("image_size")
-        setup = fitted(setup, metadata, given)
-        return setup if self.max_steps is None else replace(setup, max_episode_steps=self.max_steps)
+        return fitted(setup, metadata, given)
 
     def _episodes(self, evaluation: Evaluation, summary: Summary, console: Console) -> None:
         env = make(evaluation.setup, hardware=self.hardware)
@@ -159,7 +155,7 @@ class RunCommand(SetupOptions):
                     told = {True: "done", False: "not done", None: "not known"}[attempt.result.success]
                     console.print(f"Episode {attempt.number + 1} of {self.episodes}: {told}")
                 return
-            title = f"{evaluation.setup.task} on {evaluation.setup.robot}"
+            title = f"{evaluation.setup.task} on {evaluation.setup.robot_label}"
             show(attempts, title, self.episodes, console, summary, lambda: len(summary.attempts))
 
     def _tell(

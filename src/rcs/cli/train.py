@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rcs_data.cli.console import plain_console
@@ -18,12 +18,11 @@ from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from rcs.cli.runs import AnyPreset, interruptible, option_of_task
+from rcs.cli.runs import interruptible
+from rcs.cli.setup_options import changed, flags, given
 from rcs.cli.train_policy import Imitation, train_policy
 from rcs.cli.train_seeds import train_each
-from rcs.envs.reward import RewardKind
 from rcs.envs.setup import Setup
-from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
 from rcs.rl.algorithms import AlgorithmName
 from rcs.rl.checkpoint import Score
@@ -33,7 +32,12 @@ from rcs.rl.run import read_training
 from rcs.rl.train import Progress, require_trainable, train
 from rcs.rl.training import Training
 from rcs.setups.lab import lab_of
-from rcs.sim.randomisation import Randomisation
+from rcs.setups.resolve import with_camera_names
+
+if TYPE_CHECKING:
+    TrainFlags = Setup
+else:
+    TrainFlags = flags("the recipe's", robot="fr3")
 
 
 @dataclass(kw_only=True)
@@ -47,8 +51,6 @@ class TrainCommand:
 
     task: Annotated[str, tyro.conf.Positional] = ""
     """Name of the task, such as PickCuboid, or `module:Class`."""
-    robot: str = "fr3"
-    """Name of the robot."""
     algo: AlgorithmName = "ppo"
     """What learns."""
     out: Path | None = None
@@ -65,30 +67,9 @@ class TrainCommand:
     """Address of the Ray cluster that trains `--seeds`, such as `auto`; without it, this machine does."""
     copies: int | None = None
     """Copies of the environment that are stepped together."""
-    cameras: tuple[str, ...] = ()
-    """Cameras of the policy, such as `wrist side`, which then sees and is not told where the objects are."""
-    image_size: int | None = None
-    """Width and height of every frame in pixels."""
-    end_effector: str | None = None
-    """Name of the end effector; the robot's usual one by default."""
-    task_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
-    """An option of the task as `name=value`, such as `lift_height=0.05`; may be given several times."""
-    reward: RewardKind | None = None
-    """What a step pays."""
-    discount: float | None = None
-    """What a reward one step later is worth."""
-    control: Control | None = None
-    """What actions say of the arm."""
-    layers: tuple[str, ...] | None = None
-    """Names of layers on top, or `module:Class`, from the lowest to the highest; by default the recipe's, and none with
-    another control than the recipe's."""
-    frequency: float | None = None
-    """Control steps per second [Hz]."""
-    max_episode_steps: int | None = None
-    """An episode is truncated after this many steps, in evaluations too."""
-    randomise: AnyPreset | None = None
-    """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges; those
-    of `default` when none are named."""
+    environment: Annotated[TrainFlags, tyro.conf.OmitArgPrefixes] = field(default_factory=TrainFlags)
+    """The fields of `rcs.Setup` and `rcs.Cameras`, as in Python; those not given are the recipe's. A policy with
+    cameras does not observe where the objects are. With another control than the recipe's, its layers are left out."""
     learning_rate: float | None = None
     """Step size of the learner at the start."""
     evaluate_every: int = 0
@@ -111,7 +92,7 @@ class TrainCommand:
     """In place of a task: a policy that LeRobot trains on `--dataset`, in an environment of its own."""
     dataset: Path | None = None
     """Of `--policy`: what it learns from."""
-    environment: Path | None = None
+    lerobot_environment: Annotated[Path | None, tyro.conf.arg(name="environment")] = None
     """Of `--policy`: folder of LeRobot's environment, as `vlagents recipe lerobot` makes it."""
     state: tuple[str, ...] | None = None
     """Of `--policy`: features that it is told, as for `rcs data export`; joints and grippers if left out."""
@@ -123,7 +104,7 @@ class TrainCommand:
         console, progress = plain_console(soft_wrap=False), Progress()
         if self.policy is not None:
             return train_policy(self._imitation(self.policy), console)
-        if self.dataset or self.environment or self.state or self.lerobot:
+        if self.dataset or self.lerobot_environment or self.state or self.lerobot:
             raise InvalidSetup("--dataset, --environment, --state and --lerobot belong to --policy; give one.")
         training, out = self._training()
         if self.seeds:
@@ -140,7 +121,7 @@ class TrainCommand:
         return INTERRUPTED if progress.is_interrupted and progress.steps < progress.total else 0
 
     def _imitation(self, policy: LerobotPolicy) -> Imitation:
-        if self.dataset is None or self.environment is None:
+        if self.dataset is None or self.lerobot_environment is None:
             raise InvalidSetup(
                 "--policy learns from a dataset, in LeRobot's environment: give --dataset and --environment, a folder "
                 "that `vlagents recipe lerobot | sh -s -- FOLDER` has made."
@@ -151,7 +132,7 @@ class TrainCommand:
         return Imitation(
             policy=policy,
             dataset=self.dataset,
-            environment=self.environment,
+            environment=self.lerobot_environment,
             out=self.out or Path("runs", f"{self.dataset.resolve().name}-{policy}-{self.seed}"),
             state=self.state,
             more=(f"--seed={self.seed}", *steps, *(f"--{option}" for option in self.lerobot)),
@@ -171,21 +152,22 @@ class TrainCommand:
             raise InvalidSetup("Give a task, such as `rcs train PickCuboid`, or a run to go on with: --resume RUN.")
         recipe = self._recipe()
         rate = {} if self.learning_rate is None else {"learning_rate": self.learning_rate}
+        setup = self._setup(recipe.setup)
         training = Training(
-            setup=self._setup(recipe.setup),
+            setup=setup,
             copies=recipe.copies if self.copies is None else self.copies,
             steps=recipe.steps if self.steps is None else self.steps,
             algorithm=replace(recipe.algorithm, **rate),
             seed=self.seed,
             evaluate_every=self.evaluate_every,
             episodes=self.episodes,
-            evaluation_steps=recipe.evaluation_steps if self.max_episode_steps is None else 0,
+            evaluation_steps=recipe.evaluation_steps if "max_episode_steps" not in given(self.environment) else 0,
             checkpoint_every=self.checkpoint_every,
             device=self.device,
             torch_threads=self.torch_threads,
         )
         name = self.task.replace(":", ".").replace(os.sep, ".")
-        run = f"{name}-{self.robot}-{self.algo}" + ("" if self.seeds else f"-{self.seed}")
+        run = f"{name}-{setup.robot_label}-{self.algo}" + ("" if self.seeds else f"-{self.seed}")
         return training, self.out or Path("runs", run)
 
     def _recipe(self) -> Recipe:
@@ -194,36 +176,34 @@ class TrainCommand:
         Raises:
             InvalidSetup: Its teacher is of another task, or the robot's lab lacks its cameras.
         """
-        recipe = recipe_for(self.task, self.algo, cameras=self.cameras)
+        recipe = recipe_for(self.task, self.algo, cameras=self._cameras)
         if hasattr(recipe.algorithm, "teacher") and (self.task, self.algo) not in RECIPES:
             known = ", ".join(task for task, algorithm in RECIPES if algorithm == self.algo)
             raise InvalidSetup(
                 f"{self.algo!r} needs a teacher, and has one for {known}, not for {self.task!r}. Choose one of these, "
                 "`--algo ppo` or `--algo sac`; rcs.rl takes teachers of your own."
             )
-        lab = lab_of(self.robot).cameras
-        if not self.cameras and not set(recipe.setup.cameras) <= {*lab}:
+        lab, names = lab_of(self._robot).cameras, recipe.setup.cameras.names
+        if not self._cameras and not set(names) <= {*lab}:
             raise InvalidSetup(
-                f"The recipe of {self.algo!r} sees {' and '.join(recipe.setup.cameras)}, cameras that the lab of "
-                f"{self.robot!r} lacks; it has {', '.join(lab)}. Choose with --cameras."
+                f"The recipe of {self.algo!r} sees {' and '.join(names)}, cameras that the lab of {self._robot!r} "
+                f"lacks; it has {', '.join(lab)}. Choose with --cameras."
             )
         return recipe
 
+    @property
+    def _robot(self) -> str:
+        return given(self.environment).get("robot", "fr3")
+
+    @property
+    def _cameras(self) -> tuple[str, ...]:
+        return with_camera_names(changed(Setup(robot=self._robot), given(self.environment))).cameras.names
+
     def _setup(self, setup: Setup) -> Setup:
-        changes = {name: getattr(self, name) for name in _OF_SETUP if getattr(self, name) is not None}
-        if self.control not in (None, setup.control):
-            changes = {"layers": (), **changes}
-        if self.randomise is not None:
-            changes["randomisation"] = Randomisation.of(self.randomise)
-        options = {**setup.task_options, **dict(option_of_task(given) for given in self.task_option)}
-        return replace(setup, robot=self.robot, task_options=options, **changes)
-
-
-_OF_SETUP = (
-    "end_effector", "reward", "discount", "control", "layers", "frequency",
-    "max_episode_steps", "image_size",
-)  # fmt: skip
-"""Options that are fields of a setup; those not given are the recipe's."""
+        options = {"robot": self._robot, **given(self.environment)}
+        if options.get("control", setup.control) != setup.control:
+            options = {"layers": (), **options}
+        return with_camera_names(changed(setup, options))
 
 
 class _TimeLeft(ProgressColumn):
@@ -243,8 +223,8 @@ def _show(training: Training, out: Path, progress: Progress, console: Console, t
     setup = training.setup
     require_trainable(training)
     console.print(
-        f"{setup.task} on {setup.robot}: {training.algorithm.name}, {training.copies} copies, {training.steps} steps, "
-        f"seed {training.seed}; {', '.join(setup.cameras) or 'no cameras'}. Run: {out}",
+        f"{setup.task} on {setup.robot_label}: {training.algorithm.name}, {training.copies} copies, "
+        f"{training.steps} steps, seed {training.seed}; {', '.join(setup.cameras.names) or 'no cameras'}. Run: {out}",
         soft_wrap=True,
     )
     columns = (

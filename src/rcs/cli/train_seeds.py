@@ -57,8 +57,8 @@ def train_each(
     cpus = threads or (max(own_cpus() // max(len(seeds), 1), 1) if ray_address is None else _EACH)
     setup = training.setup
     console.print(
-        f"{setup.task} on {setup.robot}: {training.algorithm.name}, {training.copies} copies, {training.steps} steps; "
-        f"seeds {', '.join(map(str, seeds))}, {cpus} CPUs each. Runs: {out}",
+        f"{setup.task} on {setup.robot_label}: {training.algorithm.name}, {training.copies} copies, "
+        f"{training.steps} steps; seeds {', '.join(map(str, seeds))}, {cpus} CPUs each. Runs: {out}",
         soft_wrap=True,
     )
     trained: dict[int, Trained] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import sys
 from importlib.metadata import EntryPoint, entry_points
@@ -14,6 +15,8 @@ Kind = Literal[
     "arm", "gripper", "hand", "camera", "tactile", "lab", "task", "agent", "layer", "gate", "driver", "operator",
     "policy", "wire",
 ]  # fmt: skip
+OBJECTS = ("arm", "gripper", "hand", "camera", "tactile", "lab")
+"""Kinds that are objects; the others are classes."""
 
 
 def names(kind: Kind) -> list[str]:
@@ -52,19 +55,39 @@ def find(kind: Kind, given: Any) -> Any:
 
 
 def name_of(kind: Kind, given: Any) -> str:
-    """Return the name under which `find` finds something again: the text that is given, or `module:Class`.
+    """Return the name under which `find` finds something again: the text that is given, or `module:NAME`.
+
+    Args:
+        kind: What it is.
+        given: A name, or a class; of arms, labs and parts that are descriptions, an object that is a global variable.
 
     Raises:
-        InvalidSetup: It is neither a name nor a class.
+        InvalidSetup: It is none of these.
     """
     if isinstance(given, str):
         return given
-    if not isinstance(given, type):
-        raise InvalidSetup(f"{kind} is {given!r}; valid is a name, 'module:Class', or a class.")
-    for name, entry in _entries(kind).items():
-        if entry.value == f"{given.__module__}:{given.__qualname__}":
-            return name
-    return f"{given.__module__}:{given.__qualname__}"
+    if isinstance(given, type):
+        value = f"{given.__module__}:{given.__qualname__}"
+    elif kind in OBJECTS and dataclasses.is_dataclass(given):
+        value = _global_of(kind, given)
+    else:
+        what = "an object such as a description" if kind in OBJECTS else "a class"
+        raise InvalidSetup(f"{kind} is {given!r}; valid is a name, 'module:NAME', or {what}.")
+    return next((name for name, entry in _entries(kind).items() if entry.value == value), value)
+
+
+def _global_of(kind: Kind, given: Any) -> str:
+    """Return `module:NAME` of the global variable that is an object; a module of its own comes first."""
+    own = getattr(given, "module", "")
+    modules = sorted(sys.modules.items(), key=lambda item: (item[0] != own, item[0] == "__main__"))
+    for module, content in modules:
+        for name, value in list(getattr(content, "__dict__", {}).items()):
+            if value is given:
+                return f"{module}:{name}"
+    raise InvalidSetup(
+        f"The {kind} {getattr(given, 'name', given)!r} is in no global variable of a module, so that no other process "
+        "could find it; assign it to one, such as MY_ARM = ..."
+    )
 
 
 def _import(kind: Kind, given: str) -> Any:

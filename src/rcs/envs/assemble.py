@@ -199,19 +199,19 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
     gates = list(parts.gates)
     for gate in gates:
         gate.bind(parts, world, partial(compose, parts))
-    if real and setup.segmentation:
+    if real and setup.cameras.segmentation:
         raise InvalidSetup(
             f"Real cameras ({', '.join(camera.name for camera in real)}) have no segmentation; use segmentation=False."
         )
-    if real and setup.pixels is not None:
+    if real and setup.cameras.pixels is not None:
         raise InvalidSetup(
             f"Real cameras ({', '.join(camera.name for camera in real)}) give pictures, not pixels for learners; leave "
             "pixels out of the setup."
         )
-    points = [PointClouds()] if setup.points else []
+    points = [PointClouds()] if setup.cameras.points else []
     views = [
-        _real_cameras(parts, [camera for camera in real if setup.size_of(camera.name) == size])
-        for size in dict.fromkeys(setup.size_of(camera.name) for camera in real)
+        _real_cameras(parts, [camera for camera in real if setup.cameras.size_of(camera.name) == size])
+        for size in dict.fromkeys(setup.cameras.size_of(camera.name) for camera in real)
     ]
     if devices.tactile:
         views.append(_real_tactile(parts))
@@ -297,7 +297,7 @@ def _times(parts: Parts, stale_after: float) -> dict[str, float]:
 def _frame_clock(setup: Setup, cameras: Sequence[CameraPlacement], world: World) -> FrameClock:
     """Return the clock that says when each camera has a new frame."""
     rates = {
-        camera.name: FrameRate.of(camera.camera, setup.size_of(camera.name), setup.fps_of(camera.name))
+        camera.name: FrameRate.of(camera.camera, setup.cameras.size_of(camera.name), setup.cameras.fps_of(camera.name))
         for camera in cameras
     }
     return FrameClock(world, rates)
@@ -314,20 +314,20 @@ def _simulated_sensors(
     """Return the ports of everything simulated that gives frames."""
     setup = parts.setup
     ports: list[Port] = []
-    if observed and setup.pixels is not None:
+    asked = setup.cameras
+    if observed and asked.pixels is not None:
         assert clock is not None, "where there are cameras, there is their clock"
-        size, quality = setup.image_size, setup.render_quality
-        ports.append(PixelPort(world, observed, clock, setup.pixels, randomiser, size=size, quality=quality))
+        size, quality = asked.size_of(observed[0].name), setup.render_quality
+        ports.append(PixelPort(world, observed, clock, asked.pixels, randomiser, size=size, quality=quality))
     elif observed:
         cameras = SimCameras(
             world,
             observed,
-            size=setup.image_size,
-            sizes=setup.camera_sizes,
-            has_depth=setup.depth,
-            has_segmentation=setup.segmentation,
+            sizes={camera.name: asked.size_of(camera.name) for camera in observed},
+            has_depth=asked.depth,
+            has_segmentation=asked.segmentation,
             quality=setup.render_quality,
-            has_noise=setup.camera_noise,
+            has_noise=asked.noise,
             frame_body=robots[0].layout.base_body if len(robots) == 1 else 0,
         )
         ports.append(SimCameraPort(cameras, clock, randomiser))
@@ -350,7 +350,7 @@ def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPor
     return CameraPort(
         {camera.name: parts.devices.cameras[camera.name] for camera in cameras},
         {camera.name: camera.camera for camera in cameras},
-        size=parts.setup.size_of(cameras[0].name),
+        size=parts.setup.cameras.size_of(cameras[0].name),
         calibrations={camera.name: camera.calibration for camera in cameras if camera.calibration is not None},
         extrinsics=fixed,
         stale_after=parts.devices.stale_after,

@@ -58,4 +58,4 @@ class Parts:
     @property
     def title(self) -> str:
         """First line of the printed environment."""
-        return f"rcs {self.setup.task} with {self.setup.robot}"
+        return f"rcs {self.setup.task} with {self.setup.robot_label}"

@@ -90,7 +90,7 @@ class ChunkAgent(Agent):
         """How chunks are executed."""
         self._period = 1.0 / env.frequency
         self._instruction, self._owns_policy = instruction, owns_policy
-        self._session = session or f"{env.setup.robot} {next(_numbers)}"
+        self._session = session or f"{env.setup.robot_label} {next(_numbers)}"
         self._form = ActionForm(env, self.metadata)
         self._holding = Holding(env)
         inquiry = ThreadedInquiry(f"policy {self._session}") if env.is_real else SimulatedInquiry(execution.latency)

@@ -45,16 +45,19 @@ def fitted(setup: Setup, metadata: Metadata, given: Collection[str] = ()) -> Set
         changes["control"] = key_of(arm.name)
         is_absolute = arm.meaning != "delta" and changes["control"] != TWIST
         changes["relative"] = "absolute" if is_absolute else "last_step"
+    cameras: dict[str, Any] = {}
     if metadata.action:
-        changes["cameras"] = tuple(image.name for image in metadata.images)
+        cameras["names"] = tuple(image.name for image in metadata.images)
     sizes = {(image.width, image.height) for image in metadata.images if image.width and image.height}
     if len(sizes) == 1:
-        changes.update(image_size=sizes.pop(), camera_sizes={})
+        cameras["image_size"] = sizes.pop()
     observed = [name for part in metadata.state if (name := _observed(part.name)) is not None]
     changes["observe"] = tuple(dict.fromkeys([*setup.observe, *observed]))
     if any(TARGET in part.name.split("/") for part in metadata.state) and OBSERVE_TARGET not in setup.layers:
         changes["layers"] = (*setup.layers, OBSERVE_TARGET)
-    return replace(setup, **{name: value for name, value in changes.items() if name not in given})
+    kept = {name: value for name, value in cameras.items() if {"names": "cameras"}.get(name, name) not in given}
+    changes["cameras"] = replace(setup.cameras, **kept)
+    return replace(setup, **{name: value for name, value in changes.items() if name not in given or name == "cameras"})
 
 
 def _observed(name: str) -> Observed | None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.rl.algorithms import ALGORITHMS, Algorithm, AlgorithmName, Bc, Dagger, Ppo, Rlpd, Sac, check_fields
-from rcs.sim.pixels import Pixels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,8 +83,7 @@ _SEEN = Setup(
     control="joints",
     relative="last_step",
     layers=("ObserveTarget",),  # what its teacher counts from, it knows too
-    cameras=("wrist", "side"),
-    image_size=(64, 64),
+    cameras=Cameras(names=("wrist", "side"), image_size=64),
     frequency=RATE,
     max_episode_steps=75,
     collision_reaction=False,
@@ -152,9 +151,9 @@ def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[st
     recipe = RECIPES.get((task, algorithm), RECIPES["PickCuboid", algorithm])
     setup = replace(recipe.setup, task=task)
     if cameras and isinstance(recipe.algorithm, Dagger):
-        setup = replace(setup, cameras=cameras, observe=())
+        setup = replace(setup, cameras=replace(setup.cameras, names=cameras), observe=())
     elif cameras:
-        setup = replace(setup, cameras=cameras, image_size=(84, 84), pixels=Pixels(), observe=())
+        setup = replace(setup, cameras=Cameras(names=cameras, image_size=84, pixels=True), observe=())
         setup = replace(setup, control="joints", layers=())
         recipe = replace(recipe, steps=4 * recipe.steps)
         if isinstance(recipe.algorithm, Sac):  # two frames of 84 px and those of the next step are 85 kB

@@ -62,7 +62,7 @@ def write_report(run: str | Path) -> Path:
 
 def _page(folder: Path, training: Training, rows: Sequence[Row], checkpoints: Sequence[Checkpoint]) -> str:
     setup = training.setup
-    title = f"{setup.task} on {setup.robot}"
+    title = f"{setup.task} on {setup.robot_label}"
     best = best_of(list(checkpoints))
     parts = [_success(rows, training), _videos(folder, checkpoints, best), _curves(rows, training)]
     main = element("main", *parts, _tables(training, checkpoints), class_="sheet")
@@ -82,7 +82,7 @@ def _header(title: str, training: Training, rows: Sequence[Row], best: Checkpoin
     speeds = [row.figures[SPEED] for row in rows if SPEED in row.figures]
     if speeds:
         facts["steps/s, learning"] = f"{speeds[-1]:.0f}"
-    sees = f"sees {', '.join(training.setup.cameras)}" if training.setup.cameras else "is told the state"
+    sees = f"sees {', '.join(training.setup.cameras.names)}" if training.setup.cameras else "is told the state"
     what = f"{training.algorithm.name.upper()}, {training.copies} copies, seed {training.seed}; the policy {sees}"
     return header(title, what, facts)
 
@@ -160,7 +160,9 @@ def _tables(training: Training, checkpoints: Sequence[Checkpoint]) -> Html:
     own = training.to_json()
     setup, algorithm = own.pop("setup"), own.pop("algorithm")
     tables = {"Training": own, f"Algorithm: {algorithm.pop('name')}": algorithm}
-    of_cameras = () if setup["cameras"] else ("image_size", "render_quality", "assets")
+    cameras = setup.pop("cameras")
+    setup |= {"cameras": cameras.pop("names"), **cameras} if cameras["names"] else {}
+    of_cameras = () if setup.get("cameras") else ("render_quality", "assets")
     tables["Environment"] = {
         name: value for name, value in setup.items() if value not in (None, [], {}, False) and name not in of_cameras
     }

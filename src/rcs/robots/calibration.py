@@ -1,16 +1,16 @@
-"""What was measured of a mounted camera."""
+"""The calibration of a mounted camera."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
+
+from rcs_data.record import Record
 
 from rcs.spatial import Intrinsics
 
 
-@dataclass(frozen=True, kw_only=True)
-class CameraCalibration:
-    """How a camera sees, as a calibration found it, and what a recording keeps of that."""
+class CameraCalibration(Record):
+    """Calibrated intrinsics and pose covariance of a camera."""
 
     intrinsics: Intrinsics | None = None
     """Focal lengths, principal point and distortion; None for those of the data sheet."""
@@ -20,8 +20,8 @@ class CameraCalibration:
     sha256: str = ""
     """Hash of the file that this is from; empty for none."""
 
-    def to_json(self) -> dict[str, Any]:
-        """Return what a recording keeps, as JSON values."""
+    def about(self) -> dict[str, Any]:
+        """Return the entry of a recording, as JSON values."""
         about: dict[str, Any] = {"source": "calibration"}
         if self.intrinsics is not None:
             about |= describe(self.intrinsics)

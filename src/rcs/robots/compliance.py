@@ -3,58 +3,59 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from rcs_data.record import NotNegative, Positive, Record, converted
 
-from rcs.errors import InvalidSetup, require_fields
+from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription
 
 
-@dataclass(frozen=True, kw_only=True)
-class Compliance:
+def _numbers(given: float | Sequence[float] | None) -> tuple[float, ...] | None:
+    given = given.tolist() if isinstance(given, np.ndarray) else given
+    return given if given is None or isinstance(given, Sequence) else (given,)  # pyright: ignore[reportReturnType]
+
+
+class Compliance(Record):
     """Springs and dampers between where an arm is led and where it is: a push moves it by force over stiffness.
 
     Weight and friction are compensated. Either `joints` or `tcp` is given.
     """
 
-    joints: float | tuple[float, ...] | None = None
+    joints: tuple[Positive, ...] | None = converted(converter=_numbers, default=None)
     """Stiffness of the joints [N·m/rad]: one number for all, or one for each."""
-    tcp: tuple[float, ...] | None = None
+    tcp: tuple[Positive, ...] | None = converted(converter=_numbers, default=None)
     """Stiffness of the TCP along and about the axes of the base: one number for x, y, z [N/m] and one about them
     [N·m/rad], or six. An arm with more than six joints keeps its elbow by a soft spring that the TCP does not feel."""
-    damping: float | tuple[float, ...] | None = None
+    damping: tuple[NotNegative, ...] | None = converted(converter=_numbers, default=None)
     """As many numbers, [N·m·s/rad] or [N·s/m]; None for the critical one of the arm at home."""
 
     def __post_init__(self) -> None:
-        """Check every field, and make tuples of numbers and lists.
+        """Check every field.
 
         Raises:
-            InvalidSetup: Both of `joints` and `tcp` or neither are given, a number is not valid, or their count.
+            InvalidSetup: Both of `joints` and `tcp` or neither are given, a number is invalid, or their count.
         """
+        super().__post_init__()
         if (self.joints is None) == (self.tcp is None):
             given = "both" if self.tcp is not None else "neither"
-            raise InvalidSetup(f"compliance: of joints and tcp, {given} is given; give one of the two.")
+            raise InvalidSetup(f"Either joints or tcp must be given, got {given}.")
         for name in ("joints", "tcp", "damping"):
-            value: Any = getattr(self, name)
-            if value is None:
+            values: tuple[float, ...] | None = getattr(self, name)
+            if values is None:
                 continue
-            value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-            values: tuple[Any, ...] = tuple(value) if isinstance(value, list | tuple) else (value,)
-            least = "from 0" if name == "damping" else "above 0"
-            if not values or not all(_is_amount(one) and (one > 0 or name == "damping") for one in values):
-                raise InvalidSetup(f"compliance: {name} is {value!r}; valid are finite numbers {least}.")
+            if not values:
+                raise InvalidSetup(f"{name} is (); valid are finite numbers.")
             if self.is_of_tcp:
                 if len(values) not in (2, 6):
                     raise InvalidSetup(
-                        f"compliance: {name} has {len(values)} numbers; those of the TCP are two, for x, y, z and "
-                        "about them, or six."
+                        f"{name} has {len(values)} numbers; those of the TCP are two, for x, y, z and about them, or "
+                        "six."
                     )
                 values = values if len(values) == 6 else (values[0],) * 3 + (values[1],) * 3
-            object.__setattr__(self, name, tuple(map(float, values)))
+                object.__setattr__(self, name, values)
 
     @property
     def is_of_tcp(self) -> bool:
@@ -78,32 +79,12 @@ class Compliance:
         damping: Any = self.damping or ()
         return stiffness, damping
 
-    def to_json(self) -> dict[str, Any]:
-        """Return what is given as JSON values."""
-        values = dataclasses.asdict(self)
-        return {name: list(value) for name, value in values.items() if value is not None}
-
-    @staticmethod
-    def from_json(values: Mapping[str, Any]) -> Compliance:
-        """Return what `to_json` wrote.
-
-        Raises:
-            InvalidSetup: A key is unknown or a value is not valid.
-        """
-        require_fields("field of a compliance", values, (field.name for field in dataclasses.fields(Compliance)))
-        return Compliance(**values)
-
-
-def _is_amount(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value >= 0
-
 
 def _each(name: str, values: Any, arm: ArmDescription) -> Any:
     if values is None or len(values) == arm.dof:
         return values
     if len(values) != 1:
         raise InvalidSetup(
-            f"compliance: {name} has {len(values)} numbers; valid for {arm.label} is one, or {arm.dof}, one for each "
-            "joint."
+            f"{name} has {len(values)} numbers; valid for {arm.label} is one, or {arm.dof}, one for each joint."
         )
     return values * arm.dof

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from rcs_data.record import Record
 
 from rcs.errors import InvalidSetup
 from rcs.spatial import Pose
 
 
-@dataclass(frozen=True, kw_only=True)
-class Mount:
+class Mount(Record):
     """A fixed pose of one part in the frame of another."""
 
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -20,13 +20,12 @@ class Mount:
     """Rotation from the part's frame to the parent's frame, xyzw, unit norm."""
 
     def __post_init__(self) -> None:
-        """Check lengths, finiteness and the norm.
+        """Check the fields.
 
         Raises:
             InvalidSetup: A length is wrong, a number is not finite, or the quaternion does not have unit norm.
         """
-        require_numbers("translation", self.translation, 3)
-        require_numbers("quaternion", self.quaternion, 4)
+        super().__post_init__()
         norm = math.hypot(*self.quaternion)
         if abs(norm - 1.0) > 1e-9:
             raise InvalidSetup(f"quaternion has norm {norm!r}; a rotation needs norm 1 (xyzw).")

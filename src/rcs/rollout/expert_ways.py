@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,6 @@ from rcs.setups.make import make
 COMPARED = 20
 """Episodes of the expert; without cameras, each takes a second or two."""
 
-OF_CAMERAS = ("cameras", "camera_mode", "camera_fps", "pixels")
-"""What of a setup needs cameras."""
-
 
 def expert_diversity(collection: Collection) -> float | None:
     """Return by how much the expert's ways differ in the first episodes of a collection by another agent [rad].
@@ -39,7 +36,7 @@ def expert_diversity(collection: Collection) -> float | None:
 
 def expert_ways(setup: Setup, seeds: Sequence[int]) -> list[NDArray[np.float64]]:
     """Return the joints [rad] at every step of the expert's episodes, (rows, joints of all robots) each."""
-    bare = replace(setup, **{field.name: field.default for field in fields(setup) if field.name in OF_CAMERAS})
+    bare = replace(setup, cameras=())
     watch = _Watch()
     with make(bare) as env:
         agent = agent_for(env)

@@ -14,11 +14,11 @@ from rcs_data.view import pictures_page
 
 from rcs.agents import agent_for
 from rcs.envs.assemble import assemble
+from rcs.envs.cameras import Cameras
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
 from rcs.errors import DatasetError
 from rcs.setups.ids import ids
-from rcs.setups.lab import lab_of
 from rcs.setups.make import make, resolve
 from rcs.sim.camera import Quality
 from rcs.sim.viewer import Picture
@@ -71,9 +71,7 @@ def _shots(name: str, task: str, robot: str, out: Path, seed: int) -> Iterator[S
     group = f"{task}, {robot}"
     stem = name.removeprefix("rcs/").removesuffix("-v0")
     for quality in get_args(Quality):
-        setup = Setup(
-            task=task, robot=robot, cameras=tuple(lab_of(robot).cameras), image_size=(320, 240), render_quality=quality
-        )
+        setup = Setup(task=task, robot=robot, cameras=Cameras("all", image_size=(320, 240)), render_quality=quality)
         env = make(setup)
         try:
             _go_on(env, setup, seed)

@@ -41,7 +41,7 @@ def write_policy_report(evaluation: Evaluation, summary: Summary, metadata: Meta
 
 def _page(evaluation: Evaluation, summary: Summary, metadata: Metadata, execution: dict[str, Any]) -> str:
     setup = evaluation.setup
-    title = f"{metadata.name}: {setup.task} on {setup.robot}"
+    title = f"{metadata.name}: {setup.task} on {setup.robot_label}"
     low, high = (100 * bound for bound in summary.interval)
     rate = 100 * summary.successes / summary.judged if summary.judged else None
     told = "not judged" if rate is None else f"{rate:.1f} %"
@@ -54,7 +54,7 @@ def _page(evaluation: Evaluation, summary: Summary, metadata: Metadata, executio
         "Rows of a chunk": f"{metadata.horizon}" + (f" at {metadata.rate:g} Hz" if metadata.rate else ""),
         "Loop": f"{setup.frequency:g} Hz, {'in real time' if setup.stepping == 'realtime' else 'in simulated time'}",
         "Execution": ", ".join(f"{name} {value}" for name, value in execution.items() if value is not None),
-        "Cameras": ", ".join(setup.cameras) or "none",
+        "Cameras": ", ".join(setup.cameras.names) or "none",
         "Seed": f"{evaluation.seed}, in the range from {evaluation.first_seed}",
     }
     numbers = [attempt.number for attempt in sorted(summary.attempts, key=lambda attempt: attempt.number)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -30,10 +31,11 @@ VISUAL = (
     "camera_translation", "camera_rotation", "field_of_view",
 )  # fmt: skip
 """Fields of a randomisation that change only frames."""
-OF_SETUP = (
-    "image_size", "camera_fps", "depth", "segmentation", "render_quality", "assets", "camera_noise", "calibration",
-)  # fmt: skip
-"""Fields of an appearance that are also fields of a setup."""
+OF_CAMERAS = {
+    "image_size": "image_size", "camera_fps": "fps", "depth": "depth", "segmentation": "segmentation",
+    "camera_noise": "noise", "calibration": "calibration",
+}  # fmt: skip
+"""Fields of an appearance, and those of `Cameras` that they change."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,15 +73,22 @@ class Appearance:
         Raises:
             InvalidSetup: A value is not valid.
         """
-        changes: dict[str, Any] = {name: getattr(self, name) for name in OF_SETUP if getattr(self, name) is not None}
-        if "image_size" in changes:
-            changes["image_size"] = (self.image_size, self.image_size)
-            changes.update(camera_sizes={}, camera_mode=None)
+        cameras: dict[str, Any] = {
+            name: getattr(self, own) for own, name in OF_CAMERAS.items() if getattr(self, own) is not None
+        }
+        if "image_size" in cameras:
+            cameras["mode"] = None
         if self.cameras is not None:
-            shown = changes["cameras"] = () if self.cameras in ((), (NONE,)) else self.cameras
-            changes.setdefault("camera_sizes", {n: size for n, size in setup.camera_sizes.items() if n in shown})
-            if isinstance(setup.camera_fps, tuple) and self.camera_fps is None:
-                changes["camera_fps"] = {name: rate for name, rate in setup.camera_fps if name in shown} or None
+            shown = () if self.cameras in ((), (NONE,)) else self.cameras
+            by_name = {name: getattr(setup.cameras, name) for name in ("image_size", "fps", "mounts")}
+            kept = {
+                name: {camera: value for camera, value in values.items() if camera in shown}
+                for name, values in by_name.items()
+                if isinstance(values, Mapping)
+            }
+            cameras = {"names": shown, **kept, **cameras}
+        changes: dict[str, Any] = {"cameras": replace(setup.cameras, **cameras)}
+        changes |= {name: own for name in ("render_quality", "assets") if (own := getattr(self, name)) is not None}
         if self.randomise:
             before, default = setup.randomisation or Randomisation.off(), Randomisation()
             changes["randomisation"] = replace(before, **{name: getattr(default, name) for name in VISUAL})
@@ -109,12 +118,14 @@ class ReplayScene:
     def whole(self) -> Setup:
         """The setup of the new frames, with all cameras of the scene."""
         setup = self.setup
-        return replace(setup, cameras=tuple(dict.fromkeys((*self.physics.cameras, *setup.cameras))))
+        names = tuple(dict.fromkeys((*self.physics.cameras, *setup.cameras)))
+        mounts = {**self.physics.cameras.mounts, **setup.cameras.mounts}
+        return replace(setup, cameras=replace(setup.cameras, names=names, mounts=mounts))
 
     def make(self) -> tuple[Env, NewAppearance | None]:
         """Make the environment, and the randomiser of its appearance; None if that is as recorded."""
         parts = resolve(self.whole)
-        env = assemble(parts, drawn=self.setup.cameras)
+        env = assemble(parts, drawn=self.setup.cameras.names)
         if not self.appearance.randomise:
             return env, None
         randomiser = NewAppearance(env, parts, self.appearance.looks_seed)

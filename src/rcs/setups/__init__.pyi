@@ -1,3 +1,5 @@
+from rcs.robots.camera_mount import CameraMount as CameraMount
+from rcs.robots.camera_mount import looking as looking
 from rcs.setups.board_setup import board_setup as board_setup
 from rcs.setups.calibration import Calibration as Calibration
 from rcs.setups.calibration import KnownBoard as KnownBoard
@@ -7,9 +9,7 @@ from rcs.setups.calibration import write_calibration as write_calibration
 from rcs.setups.drift import drift_check as drift_check
 from rcs.setups.ids import ids as ids
 from rcs.setups.ids import tasks_of as tasks_of
-from rcs.setups.lab import CameraMount as CameraMount
 from rcs.setups.lab import Lab as Lab
 from rcs.setups.lab import Stand as Stand
 from rcs.setups.lab import lab_of as lab_of
-from rcs.setups.lab import looking as looking
 from rcs.setups.mounted_camera import MountedCamera as MountedCamera

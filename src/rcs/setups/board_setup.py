@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rcs.calibration import Board
+from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
 from rcs.kinematics import kinematics_of
 from rcs.robots.description import Mount
@@ -52,9 +53,7 @@ def board_setup(
     setup = Setup(
         task="rcs.tasks.show_board:ShowBoard",
         robot=robot,
-        cameras=(camera,),
-        calibration=calibration,
-        image_size=image_size or USUAL_SIZE,
+        cameras=Cameras(names=camera, calibration=calibration, image_size=image_size or USUAL_SIZE),
         relative="absolute",
         stepping="sync",
         max_episode_steps=None,
@@ -62,7 +61,7 @@ def board_setup(
     mounted = MountedCamera.of(setup, camera)
     seen = None if mounted.camera.calibration is None else mounted.camera.calibration.intrinsics
     if seen is not None and image_size is None:
-        setup = replace(setup, image_size=(seen.width, seen.height))
+        setup = replace(setup, cameras=replace(setup.cameras, image_size=(seen.width, seen.height)))
     known = at or KnownBoard(board=board or Board(), mount=_place(robot, mounted, board or Board()))
     is_held = known.on_gripper_of is not None if at is not None else mounted.arrangement == "eye-to-hand"
     pose = known.mount.pose

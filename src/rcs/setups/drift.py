@@ -36,7 +36,7 @@ def drift_check(
         InvalidSetup: The file has no board, or several and none of the camera's name.
         UnknownName: There is no such board, or no such robot.
     """
-    source = file or env.setup.calibration
+    source = file or env.setup.cameras.calibration
     boards = {} if source is None else read_boards(source)
     if not boards:
         raise InvalidSetup(

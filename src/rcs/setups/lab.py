@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-
-import numpy as np
-from numpy.typing import ArrayLike
 
 from rcs.devices import lookup
 from rcs.envs.task import Area
-from rcs.errors import UnknownName
-from rcs.robots.calibration import CameraCalibration
+from rcs.errors import InvalidSetup, UnknownName
+from rcs.robots.camera_mount import CameraMount, looking
 from rcs.robots.description import ArmDescription, Mount
-from rcs.spatial import Pose
+
+SPACING = 0.82
+"""Distance of arms beside each other, in proportion to the larger reach: that of the two FR3 of the paper's lab."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,20 +25,6 @@ class Stand:
     """Name of the arm."""
     base_in_scene: Mount = Mount()
     """Pose of its base frame in the scene, whose origin is on the table top."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraMount:
-    """A camera and where it is fixed."""
-
-    camera: str
-    """Name of the camera's description."""
-    optical: Mount
-    """Pose of the optical frame (x right, y down, z forward) in the parent's frame."""
-    on_gripper_of: str | None = None
-    """Name of the robot whose gripper's base body is the parent; None for the scene."""
-    calibration: CameraCalibration | None = None
-    """How it sees as calibrated; None for as in the data sheet."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,17 +41,31 @@ class Lab:
     """Camera mounts by name."""
 
 
-def lab_of(robot: str) -> Lab:
-    """Return the lab of a name: an installed one, or a plain one around an arm that has none.
+def lab_of(robot: str | Mapping[str, str]) -> Lab:
+    """Return the lab of a robot: an installed one, or a plain one around an arm, or around arms side by side.
+
+    Args:
+        robot: Name of a lab or an arm, or `module:NAME` of one; or names of arms by name of the robot.
 
     Raises:
         UnknownName: There is neither a lab nor an arm of that name.
+        InvalidSetup: The object is neither a lab nor an arm.
     """
+    if isinstance(robot, Mapping):
+        return side_by_side({name: _arm(arm) for name, arm in robot.items()}, robot)
     if robot in lookup.names("lab"):
         return lookup.find("lab", robot)
-    if robot not in lookup.names("arm"):
+    found = _arm(robot)
+    return found if isinstance(found, Lab) else plain_lab(robot, found)
+
+
+def _arm(robot: str) -> ArmDescription | Lab:
+    if ":" not in robot and robot not in lookup.names("arm"):
         raise UnknownName("robot", robot, {*lookup.names("lab"), *lookup.names("arm")})
-    return plain_lab(robot, lookup.find("arm", robot))
+    found = lookup.find("arm", robot)
+    if not isinstance(found, ArmDescription | Lab):
+        raise InvalidSetup(f"{robot!r} is {found!r}; valid is an ArmDescription or a Lab.")
+    return found
 
 
 def plain_lab(name: str, arm: ArmDescription) -> Lab:
@@ -76,28 +76,39 @@ def plain_lab(name: str, arm: ArmDescription) -> Lab:
         camera="realsense_d435",
         optical=looking((0.8 * reach, 1.1 * reach, 0.6 * reach), (0.4 * reach, 0.0, 0.15 * reach)),
     )
-    return Lab(
-        stands=(Stand(name=name, arm=name),),
-        end_effector=None,
-        area=area,
-        cameras={"side": side},
-    )
+    return Lab(stands=(Stand(name=arm.name, arm=name),), end_effector=None, area=area, cameras={"side": side})
 
 
-def looking(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Mount:
-    """Return the mount of an optical frame at `eye` that looks at `target`, both in the parent's frame [m].
+def side_by_side(arms: Mapping[str, ArmDescription | Lab], names: Mapping[str, str]) -> Lab:
+    """Return a lab of arms that stand beside each other, facing the same way, the first one at the left.
 
     Args:
-        eye: Position of the camera.
-        target: A point in the middle of the picture.
-        up: Direction that is up in the picture.
+        arms: The arms, by name of the robot.
+        names: Their names, by name of the robot.
+
+    Raises:
+        InvalidSetup: One of them is a lab.
     """
-    forward = np.subtract(target, eye)
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, np.asarray(up, np.float64))
-    right = right / np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
-    x, y, z, w = Pose.from_matrix(matrix).quaternion
-    ex, ey, ez = np.asarray(eye, np.float64)
-    return Mount(translation=(float(ex), float(ey), float(ez)), quaternion=(float(x), float(y), float(z), float(w)))
+    reaches: list[float] = []
+    for name, arm in arms.items():
+        if isinstance(arm, Lab):
+            raise InvalidSetup(f"robot {name!r} is the lab {names[name]!r}; valid beside others is an arm.")
+        reaches.append(arm.workspace_reach)
+    apart = SPACING * max(reaches)
+    stands: list[Stand] = []
+    for i, name in enumerate(arms):
+        # Built-in labs may turn their arm, so that its home pose points along x of the scene.
+        known = (
+            lookup.find("lab", names[name]).stands[0] if names[name] in lookup.names("lab") else Stand(name="", arm="")
+        )
+        y = apart * ((len(arms) - 1) / 2 - i)
+        turned = Mount(translation=(0.0, y, 0.0), quaternion=known.base_in_scene.quaternion)
+        stands.append(Stand(name=name, arm=names[name], base_in_scene=turned))
+    reach = min(reaches)
+    front = looking((2.0 * reach, 0.0, 1.0 * reach), (0.5 * reach, 0.0, 0.1 * reach))
+    return Lab(
+        stands=tuple(stands),
+        end_effector=None,
+        area=Area(center=(0.6 * reach, 0.0), size=(0.2 * reach, 0.12 * reach)),
+        cameras={"front": CameraMount(camera="realsense_d435", optical=front)},
+    )

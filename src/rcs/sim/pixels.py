@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.record import Meta, Record, Whole
 
 from rcs._core import PixelCameras
-from rcs.errors import InvalidSetup, require_fields
 from rcs.sim.frame_clock import FrameClock
 from rcs.sim.optics import Optics
 from rcs.sim.scene import CameraPlacement
 from rcs.sim.world import World
 
-LONGEST_STACK = 64
-"""Most frames of a stack."""
-
 PIXELS = "pixels"
 """Key of a camera's frames in an observation."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Pixels:
+class Pixels(Record):
     """How cameras are observed for learning: `frames`/camera/`pixels`, uint8, (channels, height, width), and no more.
 
     In quality `fast`, scenes without textures, soft bodies and height fields are drawn without OpenGL, in a fifth to a
@@ -35,48 +29,17 @@ class Pixels:
 
     grayscale: bool = False
     """One channel of luma (ITU-R BT.601) instead of red, green and blue."""
-    stack: int = 1
+    stack: Annotated[int, Meta(ge=1, le=64)] = 1
     """Frames of an observation, one after the other along the channels, the newest last. An episode starts with its
     first frame in every place."""
-    valid_steps: int | None = None
+    valid_steps: Whole | None = None
     """For how many steps after its own an observation's pixels stay what they are; then their memory is used again.
     None: for ever, in new arrays. Learners that copy what they keep can do with 1, which saves time and memory."""
-
-    def __post_init__(self) -> None:
-        """Check every field.
-
-        Raises:
-            InvalidSetup: A field has an invalid value; the message says what is valid.
-        """
-        if not isinstance(self.grayscale, bool):
-            raise InvalidSetup(f"grayscale is {self.grayscale!r}; valid: True, False.")
-        if not _is_whole(self.stack, 1, LONGEST_STACK):
-            raise InvalidSetup(f"stack is {self.stack!r}; valid is a whole number from 1 to {LONGEST_STACK}.")
-        if self.valid_steps is not None and not _is_whole(self.valid_steps, 1, 10**6):
-            raise InvalidSetup(f"valid_steps is {self.valid_steps!r}; valid is a whole number from 1, or None.")
 
     @property
     def channels(self) -> int:
         """Channels of all frames of a stack together."""
         return self.stack * (1 if self.grayscale else 3)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields as JSON values."""
-        return dataclasses.asdict(self)
-
-    @staticmethod
-    def from_json(values: Mapping[str, Any]) -> Pixels:
-        """Return what `to_json` wrote.
-
-        Raises:
-            InvalidSetup: A key is unknown or a value is not valid.
-        """
-        require_fields("option of pixels", values, (own.name for own in dataclasses.fields(Pixels)))
-        return Pixels(**values)
-
-
-def _is_whole(value: Any, low: int, high: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
 
 
 class PixelFeed:

@@ -12,11 +12,11 @@ has five coefficients, k1, k2, p1, p2, k3, in OpenCV's order: with r² = x² + y
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from rcs_data.record import Positive, Record, Whole, converted
 
 from rcs.errors import InvalidSetup
 
@@ -27,23 +27,41 @@ _NEWTON_STEPS = 50
 _CONVERGED = 1e-12
 
 
-@dataclass(frozen=True, kw_only=True)
-class Intrinsics:
+def five_coefficients(distortion: ArrayLike) -> tuple[float, ...]:
+    """Return a distortion as k1, k2, p1, p2, k3.
+
+    Args:
+        distortion: None, four or more of OpenCV's coefficients; those after the fifth must be zero.
+
+    Raises:
+        InvalidSetup: There is another number of them, one is not finite, or one after the fifth is not zero.
+    """
+    given = np.atleast_1d(np.asarray(distortion, np.float64)).reshape(-1)
+    if len(given) not in (0, 4, 5, 8, 12, 14) or not np.isfinite(given).all() or given[COEFFICIENTS:].any():
+        raise InvalidSetup(
+            f"distortion is {given.tolist()}; valid are the numbers k1, k2, p1, p2 and k3, or none. Models with more "
+            "coefficients and of fisheye lenses are not drawn; calibrate with these five (OpenCV's default)."
+        )
+    k1, k2, p1, p2, k3 = (float(value) for value in [*given[:COEFFICIENTS], *([0.0] * COEFFICIENTS)][:COEFFICIENTS])
+    return k1, k2, p1, p2, k3
+
+
+class Intrinsics(Record):
     """Intrinsics of pictures of one size."""
 
-    width: int
+    width: Whole
     """[px]."""
-    height: int
+    height: Whole
     """[px]."""
-    fx: float
+    fx: Positive
     """Focal length along x [px]."""
-    fy: float
+    fy: Positive
     """Focal length along y [px]."""
     cx: float
     """Column of the principal point [px]."""
     cy: float
     """Row of the principal point [px]."""
-    distortion: tuple[float, ...] = (0.0,) * COEFFICIENTS
+    distortion: tuple[float, ...] = converted(converter=five_coefficients, default=())
     """k1, k2, p1, p2, k3."""
 
     def __post_init__(self) -> None:
@@ -53,13 +71,7 @@ class Intrinsics:
             InvalidSetup: A size or focal length is not positive, a number is not finite, the principal point is not in
                 the picture, or there is another number of coefficients.
         """
-        if not (self.width >= 1 and self.height >= 1 and self.fx > 0 and self.fy > 0):
-            raise InvalidSetup(
-                f"width {self.width}, height {self.height}, fx {self.fx}, fy {self.fy} px; all must be positive."
-            )
-        object.__setattr__(self, "distortion", five_coefficients(self.distortion))
-        if not np.isfinite([self.fx, self.fy, self.cx, self.cy]).all():
-            raise InvalidSetup(f"fx {self.fx}, fy {self.fy}, cx {self.cx}, cy {self.cy} px; all must be finite.")
+        super().__post_init__()
         if not (-0.5 <= self.cx <= self.width - 0.5 and -0.5 <= self.cy <= self.height - 0.5):
             raise InvalidSetup(
                 f"The principal point is ({self.cx}, {self.cy}) px; valid is a point in a picture of {self.width} x "
@@ -135,25 +147,6 @@ def cropped(source: tuple[int, int], target: tuple[int, int]) -> tuple[slice, sl
     width, height = max(1, round(target[0] * scale)), max(1, round(target[1] * scale))
     left, top = (source[0] - width) // 2, (source[1] - height) // 2
     return slice(top, top + height), slice(left, left + width)
-
-
-def five_coefficients(distortion: ArrayLike) -> tuple[float, ...]:
-    """Return a distortion as k1, k2, p1, p2, k3.
-
-    Args:
-        distortion: None, four or more of OpenCV's coefficients; those after the fifth must be zero.
-
-    Raises:
-        InvalidSetup: There is another number of them, one is not finite, or one after the fifth is not zero.
-    """
-    given = np.atleast_1d(np.asarray(distortion, np.float64)).reshape(-1)
-    if len(given) not in (0, 4, 5, 8, 12, 14) or not np.isfinite(given).all() or given[COEFFICIENTS:].any():
-        raise InvalidSetup(
-            f"distortion is {given.tolist()}; valid are the numbers k1, k2, p1, p2 and k3, or none. Models with more "
-            "coefficients and of fisheye lenses are not drawn; calibrate with these five (OpenCV's default)."
-        )
-    k1, k2, p1, p2, k3 = (float(value) for value in [*given[:COEFFICIENTS], *([0.0] * COEFFICIENTS)][:COEFFICIENTS])
-    return k1, k2, p1, p2, k3
 
 
 def distort(points: ArrayLike, distortion: ArrayLike) -> NDArray[np.float64]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -18,11 +16,7 @@ from rcs.spatial import deproject, point_cloud
 def test_points_of_the_cuboid_lie_within_a_millimetre_of_its_faces(seed: int) -> None:
     env = rcs.make(
         "PickCuboid",
-        cameras=("side", "wrist"),
-        image_size=(640, 480),
-        depth=True,
-        segmentation=True,
-        points=True,
+        cameras=rcs.Cameras(names=("side", "wrist"), image_size=(640, 480), depth=True, segmentation=True, points=True),
         render_quality="full",
     )
     observation, _ = env.reset(seed=seed)
@@ -52,7 +46,9 @@ def test_points_of_the_cuboid_lie_within_a_millimetre_of_its_faces(seed: int) ->
 
 @pytest.mark.gl
 def test_a_pixel_without_depth_has_no_point_and_all_others_that_of_the_function() -> None:
-    env = rcs.make("PickCuboid", cameras=("side",), image_size=(64, 48), depth=True, points=True, camera_noise=True)
+    env = rcs.make(
+        "PickCuboid", cameras=rcs.Cameras(names=("side",), image_size=(64, 48), depth=True, points=True, noise=True)
+    )
     frame = env.reset(seed=0)[0]["frames"]["side"]
     lost = frame["depth"] == 0
     assert 0 < lost.mean() < 0.3
@@ -65,8 +61,8 @@ def test_a_pixel_without_depth_has_no_point_and_all_others_that_of_the_function(
 
 @pytest.mark.gl
 def test_several_robots_have_the_points_in_the_frame_of_the_scene() -> None:
-    options: dict[str, Any] = {"robot": "dual_fr3", "cameras": ("front",), "image_size": (64, 48)}
-    env = rcs.make("LiftBar", depth=True, points=True, segmentation=True, **options)
+    cameras = rcs.Cameras(names=("front",), image_size=(64, 48), depth=True, points=True, segmentation=True)
+    env = rcs.make("LiftBar", robot="dual_fr3", cameras=cameras)
     frame = env.reset(seed=0)[0]["frames"]["front"]
     table = frame["geoms"] == env.stack.about["labels"]["geoms"].index("table top")
     top = frame["points"][table][:, 2]
@@ -86,4 +82,4 @@ def test_a_camera_without_depth_or_frames_stays_as_it_is() -> None:
 
 def test_points_without_depth_are_refused() -> None:
     with pytest.raises(InvalidSetup, match="give depth=True"):
-        rcs.Setup(points=True)
+        rcs.Setup(cameras=rcs.Cameras(points=True))

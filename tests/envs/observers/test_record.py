@@ -56,7 +56,7 @@ def test_copies_recorded_together_are_the_episodes_that_single_environments_reco
 
 @pytest.mark.gl
 def test_copies_that_start_anew_by_themselves_go_on_in_new_episodes_with_their_own_frames(tmp_path: Path) -> None:
-    envs = rcs.make_vec(**OPTIONS, copies=3, cameras=("side",), image_size=16)
+    envs = rcs.make_vec(**OPTIONS, copies=3, cameras=rcs.Cameras(names=("side",), image_size=16))
     frames: list[np.ndarray] = []
     with record_all(envs, tmp_path / "set", colour="lossless"):
         frames.append(envs.reset(seed=0)[0]["frames"]["side"]["rgb"].copy())
@@ -141,7 +141,7 @@ def test_pixels_for_learners_are_recorded_as_they_were_though_their_memory_is_us
     background: bool, tmp_path: Path
 ) -> None:
     pixels = Pixels(stack=2, valid_steps=1)
-    env = rcs.make("PickCuboid", cameras=("side",), image_size=(16, 16), pixels=pixels)
+    env = rcs.make("PickCuboid", cameras=rcs.Cameras(names=("side",), image_size=(16, 16), pixels=pixels))
     env.action_space.seed(0)
     with DatasetWriter.open(tmp_path, dataset_info(env)) as writer:
         recorder = Recorder(writer, background=background)

@@ -105,7 +105,7 @@ def test_an_episode_can_begin_in_the_middle_of_a_run(recorder: Any) -> None:
 
 @pytest.mark.gl
 def test_a_camera_on_the_table_has_its_matrices_once_one_on_the_wrist_in_every_row(tmp_path: Path) -> None:
-    setup_env = rcs.make("PickCuboid", robot="fr3", cameras=("wrist", "side"), image_size=64)
+    setup_env = rcs.make("PickCuboid", robot="fr3", cameras=rcs.Cameras(names=("wrist", "side"), image_size=64))
     info = dataset_info(setup_env)
     with DatasetWriter.open(tmp_path, info) as writer:
         recorder = Recorder(writer)

@@ -41,7 +41,9 @@ def make(camera: FakeCamera, *, on_stale: Any = "fault", stale_after: float = 0.
         on_stale=on_stale,
         stale_after=stale_after,
     )
-    return rcs.make("Free", cameras=("side",), image_size=SIZE, hardware=site, frequency=100.0, **options)
+    return rcs.make(
+        "Free", cameras=rcs.Cameras(names=("side",), image_size=SIZE), hardware=site, frequency=100.0, **options
+    )
 
 
 @pytest.fixture
@@ -264,7 +266,7 @@ def test_of_frames_of_another_shape_it_says_where_its_figures_are_from() -> None
 
 @pytest.mark.gl
 def test_matrices_are_those_of_the_simulated_cameras() -> None:
-    options: dict[str, Any] = {"cameras": ("wrist", "side"), "image_size": (320, 240)}
+    options: dict[str, Any] = {"cameras": rcs.Cameras(names=("wrist", "side"), image_size=(320, 240))}
     real = rcs.make("Free", hardware={"fr3": "fake", "wrist": "fake", "side": "fake"}, **options)
     simulated = rcs.make("Free", **options)
     assert real.observation_space == simulated.observation_space

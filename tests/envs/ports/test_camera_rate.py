@@ -40,7 +40,7 @@ def changes(seen: list[dict[str, Any]], camera: str) -> list[int]:
 
 
 def test_by_default_a_frame_at_control_rate_shows_the_present_state() -> None:
-    env = rcs.make("PickCuboid", cameras=("wrist", "side"), image_size=(48, 32))
+    env = rcs.make("PickCuboid", cameras=rcs.Cameras(names=("wrist", "side"), image_size=(48, 32)))
     (port,) = (port for port in env.stack.ports if isinstance(port, SimCameraPort))
     observation, _ = env.reset(seed=0)
     for _ in range(5):
@@ -51,7 +51,9 @@ def test_by_default_a_frame_at_control_rate_shows_the_present_state() -> None:
 
 def test_each_camera_has_its_own_rate_beside_a_hundred_control_steps() -> None:
     env = rcs.make(
-        "PickCuboid", cameras=("wrist", "side"), image_size=64, frequency=100, camera_fps={"wrist": 30, "side": 15}
+        "PickCuboid",
+        cameras=rcs.Cameras(names=("wrist", "side"), image_size=64, fps={"wrist": 30, "side": 15}),
+        frequency=100,
     )
     seen = frames(env, 41, seed=0)
     assert changes(seen, "wrist") == [4, 7, 10, 14, 17, 20, 24, 27, 30, 34, 37, 40]
@@ -62,19 +64,28 @@ def test_each_camera_has_its_own_rate_beside_a_hundred_control_steps() -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        {"robot": "fr3", "cameras": ("wrist", "side"), "camera_fps": {"wrist": 30, "side": 15}, "frequency": 50},
-        {"robot": "so101", "cameras": ("wrist", "diagonal")},
-        {"robot": "so101", "cameras": ("wrist",), "frequency": 60, "randomisation": True, "camera_noise": True},
+        {
+            "robot": "fr3",
+            "cameras": rcs.Cameras(names=("wrist", "side"), image_size=48, fps={"wrist": 30, "side": 15}),
+            "frequency": 50,
+        },
+        {"robot": "so101", "cameras": rcs.Cameras(names=("wrist", "diagonal"), image_size=48)},
+        {
+            "robot": "so101",
+            "cameras": rcs.Cameras(names=("wrist",), image_size=48, noise=True),
+            "frequency": 60,
+            "randomisation": True,
+        },
     ],
     ids=["fr3", "so101", "so101 varied"],
 )
 def test_a_copy_sees_what_a_single_environment_sees(options: dict[str, Any]) -> None:
     copies, steps = 2, 12
-    envs = rcs.make_vec("PickCuboid", copies=copies, image_size=48, max_episode_steps=7, **options)
+    envs = rcs.make_vec("PickCuboid", copies=copies, max_episode_steps=7, **options)
     batch = frames(envs, steps, seed=4)
     envs.close()
     for copy in range(copies):
-        env = rcs.make("PickCuboid", image_size=48, max_episode_steps=7, **options)
+        env = rcs.make("PickCuboid", max_episode_steps=7, **options)
         seen = frames(env, 7, seed=4 + copy)
         observation, _ = env.reset()
         seen.append(observation["frames"])
@@ -87,7 +98,7 @@ def test_a_copy_sees_what_a_single_environment_sees(options: dict[str, Any]) -> 
 
 
 def test_the_rate_of_a_webcam_rolls_by_the_seed() -> None:
-    env = rcs.make("PickCuboid", robot="so101", cameras=("wrist",), image_size=48, frequency=100)
+    env = rcs.make("PickCuboid", robot="so101", cameras=rcs.Cameras(names=("wrist",), image_size=48), frequency=100)
     taken: list[list[int]] = []
     for seed in (0, 0, 1):
         env.reset(seed=seed)
@@ -105,7 +116,9 @@ def test_the_rate_of_a_webcam_rolls_by_the_seed() -> None:
 
 
 def test_a_recorded_frame_that_came_again_keeps_its_time_and_is_flagged(tmp_path: Path) -> None:
-    setup = rcs.Setup(task="PickCuboid", cameras=("wrist",), image_size=(48, 48), frequency=100, camera_fps=30)
+    setup = rcs.Setup(
+        task="PickCuboid", cameras=rcs.Cameras(names=("wrist",), image_size=(48, 48), fps=30), frequency=100
+    )
     env = rcs.make(setup)
     with DatasetWriter.open(tmp_path / "dataset", dataset_info(env, colour="lossless")) as writer:
         recorder = Recorder(writer)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,18 @@ from rcs.sim.pixels import Pixels
 
 COPIES, STEPS = 3, 7
 SMALL: dict[str, Any] = {
-    "task": "PickCuboid", "robot": "fr3", "cameras": ("side", "wrist"), "image_size": (24, 20), "max_episode_steps": 3
+    "task": "PickCuboid", "robot": "fr3",
+    "cameras": rcs.Cameras(names=("side", "wrist"), image_size=(24, 20)), "max_episode_steps": 3
 }  # fmt: skip
 Image = NDArray[np.uint8]
 
 
+def with_pixels(pixels: Any, fps: float | None = None, **options: Any) -> dict[str, Any]:
+    return {**options, "cameras": replace(options["cameras"], pixels=pixels, fps=fps)}
+
+
 def make_vec(pixels: Any = True, **options: Any) -> Any:
-    envs = rcs.make_vec(copies=COPIES, **{"threads": 2, **SMALL, **options}, pixels=pixels)
+    envs = rcs.make_vec(copies=COPIES, **with_pixels(pixels, **{"threads": 2, **SMALL, **options}))
     envs.action_space.seed(3)
     return envs
 
@@ -41,7 +47,7 @@ def row(tree: Any, copy: int) -> Any:
     [
         {"threads": 1, "pixels": Pixels(stack=2)},
         {"threads": 3, "pixels": Pixels(grayscale=True, stack=3, valid_steps=1)},
-        {"threads": 2, "pixels": Pixels(stack=2), "camera_fps": 15.0},
+        {"threads": 2, "pixels": Pixels(stack=2), "fps": 15.0},
         {"threads": 2, "pixels": Pixels(stack=2), "stepping": "sync", "max_episode_steps": 2},
         pytest.param({"threads": 2, "pixels": Pixels(), "randomisation": True}, marks=pytest.mark.gl),
     ],
@@ -50,7 +56,7 @@ def row(tree: Any, copy: int) -> Any:
 def test_one_copy_is_the_same_as_many(options: dict[str, Any]) -> None:
     envs = make_vec(**options)
     single_options = {key: value for key, value in {**SMALL, **options}.items() if key != "threads"}
-    singles = [rcs.make(**single_options) for _ in range(COPIES)]
+    singles = [rcs.make(**with_pixels(**single_options)) for _ in range(COPIES)]
     observation, _ = envs.reset(seed=5)
     expected = [single.reset(seed=5 + copy)[0] for copy, single in enumerate(singles)]
     done = np.zeros(COPIES, np.bool_)
@@ -118,7 +124,7 @@ def test_a_reset_of_some_copies_leaves_what_the_others_see() -> None:
     envs.close()
 
 
-@pytest.mark.parametrize("options", [{}, {"camera_fps": 15.0}], ids=["every step", "slow cameras"])
+@pytest.mark.parametrize("options", [{}, {"fps": 15.0}], ids=["every step", "slow cameras"])
 def test_a_state_goes_on_with_the_same_frames(options: dict[str, Any]) -> None:
     envs = make_vec(Pixels(stack=3, valid_steps=1), max_episode_steps=None, **options)
     envs.reset(seed=0)
@@ -193,7 +199,7 @@ def test_full_quality_is_that_of_pictures_bit_for_bit() -> None:
     [("fr3", "PickCuboid", "side"), ("so101", "Push", "wrist"), ("ur5e", "Place", "overhead")],
 )
 def test_pixels_look_like_pictures(robot: str, task: str, camera: str) -> None:
-    options: dict[str, Any] = {"robot": robot, "task": task, "image_size": 64, "cameras": (camera,)}
+    options: dict[str, Any] = {"robot": robot, "task": task, "cameras": rcs.Cameras(names=(camera,), image_size=64)}
     pixels, pictures = make_vec(**options), make_vec(None, **options)
     shown, pictured = pixels.reset(seed=0)[0], pictures.reset(seed=0)[0]
     expected = pictured["frames"][camera]["rgb"]
@@ -206,24 +212,24 @@ def test_pixels_look_like_pictures(robot: str, task: str, camera: str) -> None:
 
 
 def test_pixels_survive_json() -> None:
-    setup = Setup(cameras=("side",), pixels=Pixels(grayscale=True, stack=4, valid_steps=2))
+    setup = Setup(cameras=rcs.Cameras(names=("side",), pixels=Pixels(grayscale=True, stack=4, valid_steps=2)))
     assert Setup.from_json(setup.to_json()) == setup
-    assert Setup(pixels=True).pixels == Pixels()
-    assert Setup(pixels=False).pixels is None
+    assert Setup(cameras=rcs.Cameras(pixels=True)).cameras.pixels == Pixels()
+    assert Setup(cameras=rcs.Cameras(pixels=False)).cameras.pixels is None
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"pixels": True, "depth": True}, "depth is True and pixels are given"),
-        ({"pixels": True, "camera_noise": True}, "camera_noise is True"),
-        ({"pixels": 3}, "pixels is 3; valid: rcs.Pixels"),
+        ({"pixels": True, "noise": True}, "noise is True"),
+        ({"pixels": 3}, "pixels is 3; valid: an object of Pixels, or None"),
         ({"pixels": {"stacks": 2}}, "stack"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidSetup, match=message):
-        Setup(**options)
+        rcs.Cameras(**options)
 
 
 @pytest.mark.parametrize("values", [{"stack": 0}, {"stack": True}, {"valid_steps": 0}, {"grayscale": 1}])

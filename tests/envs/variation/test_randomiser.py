@@ -157,8 +157,10 @@ def test_the_task_starts_alike_with_and_without() -> None:
 
 @pytest.mark.parametrize("field", [field for field in EVERYTHING if field not in OF_STATE_AND_TIME])
 def test_each_range_changes_the_model_and_draws_from_a_stream_of_its_own(field: str) -> None:
-    alone = make(Randomisation.off(**{field: EVERYTHING[field]}), cameras=("wrist", "side"), image_size=8)
-    every = make(Randomisation(), cameras=("wrist", "side"), image_size=8)
+    alone = make(
+        Randomisation.off(**{field: EVERYTHING[field]}), cameras=rcs.Cameras(names=("wrist", "side"), image_size=8)
+    )
+    every = make(Randomisation(), cameras=rcs.Cameras(names=("wrist", "side"), image_size=8))
     nominal = fields_of(alone.scenario.world.model)
     alone.scenario.begin(EpisodeRandom(1, 0))
     every.scenario.begin(EpisodeRandom(1, 0))
@@ -169,8 +171,8 @@ def test_each_range_changes_the_model_and_draws_from_a_stream_of_its_own(field: 
 
 @pytest.mark.parametrize("field", PHYSICS)
 def test_each_physical_range_changes_the_motion(field: str) -> None:
-    plain = make(None, cameras=("wrist",), image_size=8)
-    varied = make(Randomisation.off(**{field: EVERYTHING[field]}), cameras=("wrist",), image_size=8)
+    plain = make(None, cameras=rcs.Cameras(names=("wrist",), image_size=8))
+    varied = make(Randomisation.off(**{field: EVERYTHING[field]}), cameras=rcs.Cameras(names=("wrist",), image_size=8))
     drop, push = [], []
     for env in (plain, varied):
         env.reset(seed=1)
@@ -191,7 +193,7 @@ def test_each_physical_range_changes_the_motion(field: str) -> None:
 @pytest.mark.parametrize("field", LOOKS)
 def test_each_visible_range_changes_the_picture(field: str) -> None:
     ranges = Randomisation.off(**{field: EVERYTHING[field]})
-    plain, varied = (make(given, cameras=("side",), image_size=96) for given in (None, ranges))
+    plain, varied = (make(given, cameras=rcs.Cameras(names=("side",), image_size=96)) for given in (None, ranges))
     before = frames_of(plain, 2)["side"].astype(int)
     after = frames_of(varied, 2)["side"].astype(int)
     assert np.abs(before - after).max() > 3
@@ -201,7 +203,9 @@ def test_each_visible_range_changes_the_picture(field: str) -> None:
 
 @pytest.mark.gl
 def test_ranges_of_no_width_draw_the_same_picture() -> None:
-    plain, off = (make(given, cameras=("side",), image_size=64) for given in (None, Randomisation.off()))
+    plain, off = (
+        make(given, cameras=rcs.Cameras(names=("side",), image_size=64)) for given in (None, Randomisation.off())
+    )
     np.testing.assert_array_equal(frames_of(plain, 2)["side"], frames_of(off, 2)["side"])
     plain.close()
     off.close()
@@ -209,7 +213,7 @@ def test_ranges_of_no_width_draw_the_same_picture() -> None:
 
 @pytest.mark.gl
 def test_every_copy_is_drawn_as_its_single_environment_and_unlike_the_others() -> None:
-    options: dict[str, Any] = {"randomisation": True, "cameras": ("wrist", "side"), "image_size": 64}
+    options: dict[str, Any] = {"randomisation": True, "cameras": rcs.Cameras(names=("wrist", "side"), image_size=64)}
     envs = rcs.make_vec("PickCuboid", copies=6, threads=3, **options)
     single = rcs.make("PickCuboid", **options)
     observation, _ = envs.reset(seed=7)
@@ -312,7 +316,10 @@ def test_the_task_knows_how_large_its_cuboid_is() -> None:
 
 
 def test_cameras_move_by_what_was_drawn() -> None:
-    env = make(Randomisation.off(camera_translation=0.05, camera_rotation=0.1), cameras=("side",), image_size=8)
+    env = make(
+        Randomisation.off(camera_translation=0.05, camera_rotation=0.1),
+        cameras=rcs.Cameras(names=("side",), image_size=8),
+    )
     world = env.scenario.world
 
     def pose() -> tuple[np.ndarray, np.ndarray]:

@@ -66,6 +66,12 @@ def converted(
     return own
 
 
+def accepted(own: dataclasses.Field[Any]) -> str:
+    """Return the annotation of what a field of a record takes."""
+    annotations = getattr(own.metadata.get("converter"), "__annotations__", {})
+    return str(next((hint for name, hint in annotations.items() if name != "return"), own.type))
+
+
 @dataclass_transform(
     frozen_default=True, kw_only_default=True, field_specifiers=(dataclasses.field, dataclasses.Field, converted)
 )
@@ -102,15 +108,14 @@ class Record:
         """
         kinds = _kinds(type(self))
         for own in _fields(self):
-            value = getattr(self, own.name)
-            if "converter" in own.metadata:
-                value = own.metadata["converter"](value)
-            object.__setattr__(self, own.name, self._checked(own.name, value, kinds[own.name]))
+            value = self._checked(own, getattr(self, own.name), kinds[own.name])
+            object.__setattr__(self, own.name, value)
 
-    def _checked(self, name: str, value: Any, kind: Any) -> Any:
+    def _checked(self, own: dataclasses.Field[Any], value: Any, kind: Any) -> Any:
+        name, convert = own.name, own.metadata.get("converter")
         try:
-            return _fit(value, kind)
-        except InvalidSetup as err:  # of a record inside
+            return _fit(value if convert is None else convert(value), kind)
+        except InvalidSetup as err:  # of a record inside, or of a converter
             raise InvalidSetup(f"{name}: {err}") from err
         except msgspec.ValidationError as err:
             hint = self.hints.get(f"{name}={value}", "") or _nearest(value, kind)
@@ -209,8 +214,9 @@ def valid_values(kind: Any) -> str:
     if origin is Literal:
         return ", ".join(map(repr, parts))
     if origin is tuple:
-        many = f"any number of: {valid_values(parts[0])}" if parts[-1] is ... else ", ".join(map(valid_values, parts))
-        return f"a sequence ({many})"
+        is_any = parts[-1] is ...
+        many = f"with each {valid_values(parts[0])}" if is_any else f"({', '.join(map(valid_values, parts))})"
+        return f"a sequence {many}"
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return f"a mapping ({valid_values(parts[0])}: {valid_values(parts[1])})"
     return _WORDS.get(kind) or f"an object of {getattr(origin or kind, '__name__', kind)}"

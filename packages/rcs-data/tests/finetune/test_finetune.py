@@ -175,7 +175,7 @@ def test_actions_of_unknown_meaning_are_refused(make: Make) -> None:
 
 def test_openvla_refuses_what_it_would_not_load(make: Make) -> None:
     for control, relative in (("joints", "last_step"), ("xyzrpy", "absolute")):
-        with pytest.raises(InvalidSetup, match="--control xyzrpy, and without --absolute"):
+        with pytest.raises(InvalidSetup, match="--control xyzrpy, and without --relative absolute"):
             openvla(contents(Dataset.open(make(control, relative))))
 
 

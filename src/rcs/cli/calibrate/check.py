@@ -45,7 +45,7 @@ class CheckCommand(SessionOptions):
             said = MountedCamera.of(self.setup(at=known, calibration=str(self.calibration)), self.camera)
             seen = said.camera.calibration
             lens = session.intrinsics if seen is None or seen.intrinsics is None else seen.intrinsics
-            lens = lens.cut(setup.image_size)
+            lens = lens.cut(setup.cameras.size_of(self.camera))
             pose = Pose(known.mount.translation, known.mount.quaternion)
             strategy = BoardStrategy(said.rig(lens, pose), known.board, views=self.views, seed=self.seed)
             session.look_around(strategy)

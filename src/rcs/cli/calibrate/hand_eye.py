@@ -64,4 +64,4 @@ class HandEyeCommand(SessionOptions):
         """Return how the camera sees if the file says it already, as `rcs calibrate intrinsics` has found it."""
         known = read_calibration(self.out).get(self.camera) if self.out.exists() else None
         seen = None if known is None else known.camera.intrinsics
-        return None if seen is None else seen.cut(setup.image_size)
+        return None if seen is None else seen.cut(setup.cameras.size_of(self.camera))

@@ -245,7 +245,7 @@ class CameraPort(Port):
             camera = self._cameras[name]
             own, mode = camera.calibration, (camera.mode.width, camera.mode.height)
             if name in self._calibrations:
-                cameras[name] = self._calibrations[name].to_json()
+                cameras[name] = self._calibrations[name].about()
             elif own is not None:
                 cameras[name] = {"source": "device", **describe(Intrinsics.of_matrix(own.matrix, mode, own.distortion))}
             else:

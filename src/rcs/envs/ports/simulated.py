@@ -138,7 +138,7 @@ class SimCameraPort(Port):
     def about(self) -> dict[str, Any]:
         """How each camera is calibrated, and the names of the numbers in segmentation."""
         cameras = {
-            one.name: {"source": "data sheet"} if one.calibration is None else one.calibration.to_json()
+            one.name: {"source": "data sheet"} if one.calibration is None else one.calibration.about()
             for one in self.cameras.placements
         }
         labels = {"labels": self.cameras.labels.to_json()} if self.cameras.has_segmentation else {}

@@ -13,7 +13,6 @@ from rcs.devices import lookup
 from rcs.envs.setup import Setup
 from rcs.rollout.interactive.guide import Guide
 from rcs.rollout.interactive.session import Session, playable
-from rcs.setups.lab import lab_of
 from rcs.sim.browser_scene import BrowserScene
 from rcs.spatial import wxyz_to_xyzw, xyzw_to_wxyz
 
@@ -60,7 +59,7 @@ class Panel:
         self._next_text = self._next_frame = 0.0
         self._pictures: dict[str, tuple[Any, Any]] = {}
         setup = session.setup
-        server.gui.set_panel_label(f"{setup.task} on {setup.robot}")
+        server.gui.set_panel_label(f"{setup.task} on {setup.robot_label}")
         self._status = server.gui.add_markdown("")
         self._add_episode()
         self._robots = [RobotControls(server, session, guide, ask) for guide in session.guides.values()]
@@ -144,9 +143,9 @@ class Panel:
         gui, setup = self._server.gui, self._session.setup
         with gui.add_folder("Other scene", expand_by_default=False):
             tasks = {*lookup.names("task"), setup.task}
-            robots = {*lookup.names("lab"), *lookup.names("arm"), setup.robot}
+            robots = {*lookup.names("lab"), *lookup.names("arm"), setup.robot_label}
             task = gui.add_dropdown("Task", sorted(tasks), initial_value=setup.task)
-            robot = gui.add_dropdown("Robot", sorted(robots), initial_value=setup.robot)
+            robot = gui.add_dropdown("Robot", sorted(robots), initial_value=setup.robot_label)
             _button(gui, "Load", self._ask, lambda: self._load(str(task.value), str(robot.value)))
 
     # --- What a page asks for, done by the thread of the session ------------------------------------------------------
@@ -191,8 +190,8 @@ class Panel:
         if task != setup.task:
             setup = replace(setup, task=task, task_options={})
         if robot != setup.robot:
-            cameras = tuple(lab_of(robot).cameras) if setup.cameras else ()
-            setup = replace(setup, robot=robot, end_effector=None, cameras=cameras, calibration=None, tactile=None)
+            cameras = replace(setup.cameras, names="all" if setup.cameras else (), mounts={}, calibration=None)
+            setup = replace(setup, robot=robot, end_effector=None, cameras=cameras, tactile=None)
         self._change(playable(setup))
 
 

@@ -27,7 +27,7 @@ def openvla(contents: Contents) -> Written:
         came = ", ".join(f"{part.name} ({part.meaning})" for part in contents.action)
         raise InvalidSetup(
             f"OpenVLA loads actions that are xyzrpy relative to the last step and gripper; this dataset has {came}. "
-            "Collect with --control xyzrpy, and without --absolute."
+            "Collect with --control xyzrpy, and without --relative absolute."
         )
     text = Template(_TEXT).substitute(
         name=repr(contents.name), facts=facts(contents), image=repr(column(contents.scene_camera))

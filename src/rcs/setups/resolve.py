@@ -1,0 +1,255 @@
+"""From a setup to its parts: everything that it names is looked up, and fits together."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
+from rcs.envs.cameras import ALL
+from rcs.envs.gates.gate import Gate
+from rcs.envs.layers import Layer
+from rcs.envs.parts import Parts
+from rcs.envs.setup import Setup
+from rcs.envs.task import Task
+from rcs.errors import InvalidSetup, UnknownName
+from rcs.hardware.site import DeviceAddress, Devices, Site
+from rcs.kinematics.damping import damped
+from rcs.robots.compliance import Compliance
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.robots.tactile import TactileDescription
+from rcs.setups.calibration import calibrated
+from rcs.setups.lab import Lab, Stand, lab_of
+from rcs.sim.own_cameras import cameras_of
+from rcs.sim.scene import CameraPlacement, RobotPlacement
+from rcs.sim.tactile_mounts import TactilePlacement, on_pads
+from rcs.tasks.distractors import Distractors
+
+NO_END_EFFECTOR = "none"
+"""Stands for a bare flange."""
+
+AnyLayer = Layer | type[Layer] | str
+"""A layer, its class, the name of its entry point, or `module:Class`."""
+
+Hardware = str | Path | DeviceAddress | Arm | Gripper | Hand | Camera
+"""A device, or its address."""
+
+
+def lab_of_setup(setup: Setup) -> Lab:
+    """Return the lab of a setup, with its own cameras and their calibration.
+
+    Raises:
+        UnknownName: There is no such robot.
+        InvalidSetup: The calibration file is invalid.
+    """
+    lab = lab_of(setup.robot)
+    lab = replace(lab, cameras={**lab.cameras, **setup.cameras.mounts})
+    return lab if setup.cameras.calibration is None else calibrated(lab, setup.cameras.calibration)
+
+
+def with_camera_names(setup: Setup) -> Setup:
+    """Return a setup that names its cameras, where it has all of them.
+
+    Raises:
+        UnknownName: There is no such robot.
+    """
+    if setup.cameras.names != (ALL,):
+        return setup
+    return replace(setup, cameras=replace(setup.cameras, names=tuple(lab_of_setup(setup).cameras)))
+
+
+def resolve(setup: Setup) -> Parts:
+    """Look up everything that a setup names.
+
+    Raises:
+        UnknownName: A name that does not exist; the message has the nearest match.
+        InvalidSetup: Parts that do not fit each other.
+    """
+    setup = with_camera_names(setup)
+    lab = lab_of_setup(setup)
+    task: Any = lookup.find("task", setup.task)
+    if not (isinstance(task, type) and issubclass(task, Task)):
+        raise InvalidSetup(f"{setup.task!r} is {task!r}; valid is a subclass of rcs.envs.task.Task.")
+    names = [stand.name for stand in lab.stands]
+    if isinstance(setup.end_effector, Mapping) and (unknown := sorted(setup.end_effector.keys() - set(names))):
+        raise UnknownName("robot of this setup", unknown[0], names)
+    robots = tuple(
+        _place(one, setup.end_effector_of(one.name) or lab.end_effector, setup.compliance) for one in lab.stands
+    )
+    cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras.names)
+    tactile = tuple(sensor for robot in robots for sensor in _feel(setup.tactile, robot))
+    count = 0 if setup.randomisation is None else setup.randomisation.distractors
+    return Parts(
+        setup=setup,
+        robots=robots,
+        cameras=cameras,
+        tactile=tactile,
+        task=task(lab.area, setup.task_options),
+        clutter=Distractors(count, scale=lab.area.object_scale) if count else None,
+        layers=layers_by_robot(dict.fromkeys(names, setup.layers), names),
+        gates=[_gate(name, options) for name, options in setup.gates.items()],
+    )
+
+
+def _feel(name: str | None, robot: RobotPlacement) -> tuple[TactilePlacement, ...]:
+    if name is None:
+        return ()
+    sensor: TactileDescription = lookup.find("tactile", name)
+    if robot.gripper is None:
+        carried = robot.end_effector.label if robot.end_effector is not None else "A bare flange"
+        raise InvalidSetup(
+            f"{carried} has no pads for {sensor.label} to take the place of; "
+            f"{', '.join(lookup.names('gripper'))} have. "
+            "On fingertips of a hand it goes in a scene of your own: rcs.sim.tactile_mounts.on_fingertips."
+        )
+    return on_pads(robot, sensor)
+
+
+def _place(stand: Stand, end_effector: str | None, compliance: Compliance | None) -> RobotPlacement:
+    arm: ArmDescription = lookup.find("arm", stand.arm)
+    gripper: GripperDescription | None = None
+    hand: HandDescription | None = None
+    if end_effector is not None and end_effector != NO_END_EFFECTOR:
+        if end_effector in lookup.names("hand"):
+            hand = lookup.find("hand", end_effector)
+        elif end_effector in lookup.names("gripper"):
+            gripper = lookup.find("gripper", end_effector)
+        else:
+            raise UnknownName(
+                "end effector", end_effector, [*lookup.names("gripper"), *lookup.names("hand"), NO_END_EFFECTOR]
+            )
+    mounted = gripper or hand
+    if mounted is not None and arm.end_effectors is not None and mounted.name not in arm.end_effectors:
+        raise InvalidSetup(
+            f"{arm.label} carries {', '.join(arm.end_effectors)} and nothing else, not {mounted.name!r}."
+        )
+    if gripper is not None and gripper.arms is not None and arm.name not in gripper.arms:
+        raise InvalidSetup(
+            f"{gripper.label} is made for {', '.join(gripper.arms)}; it cannot be mounted on {arm.name!r}."
+        )
+    return RobotPlacement(
+        name=stand.name,
+        arm=arm,
+        gripper=gripper,
+        hand=hand,
+        base_in_scene=stand.base_in_scene,
+        compliance=None if compliance is None else damped(compliance, arm, gripper or hand),
+    )
+
+
+def _mount(name: str, setup: Setup, lab: Lab, robots: tuple[RobotPlacement, ...]) -> CameraPlacement:
+    if name not in lab.cameras:
+        own = cameras_of(robots)
+        if name in own:
+            return own[name]
+        raise UnknownName(f"camera in the lab of {setup.robot_label!r}", name, {*lab.cameras, *own})
+    mount = lab.cameras[name]
+    parent = "world"
+    if mount.on_gripper_of is not None:
+        robot = next(robot for robot in robots if robot.name == mount.on_gripper_of)
+        if robot.end_effector is None:
+            raise InvalidSetup(f"Camera {name!r} is mounted on the gripper of {robot.name!r}, which has none.")
+        if robot.end_effector.name != lab.end_effector:
+            raise InvalidSetup(
+                f"Camera {name!r} is made to be mounted on {lab.end_effector!r}, not on {robot.end_effector.name!r}; "
+                "leave it out."
+            )
+        parent = robot.gripper_prefix + robot.end_effector.base_body
+    description: CameraDescription = lookup.find("camera", mount.camera)
+    if setup.cameras.mode is not None:
+        description.mode(setup.cameras.mode)
+    return CameraPlacement(
+        name=name,
+        camera=description,
+        parent_body=parent,
+        optical_in_parent=mount.optical,
+        calibration=mount.calibration,
+    )
+
+
+def layers_by_robot(given: Mapping[str, Sequence[AnyLayer]], robots: Sequence[str]) -> dict[str, list[Layer]]:
+    """Return the user's layers by robot, made where they are classes or names.
+
+    Raises:
+        UnknownName: There is no such robot or layer.
+        InvalidSetup: A layer is no layer, or is given to several robots.
+    """
+    if unknown := sorted(set(given) - set(robots)):
+        raise UnknownName("robot of this setup", unknown[0], robots)
+    made = {name: [one_of("layer", layer, Layer) for layer in own] for name, own in given.items()}
+    every = [id(layer) for own in made.values() for layer in own]
+    if len(set(every)) != len(every):
+        raise InvalidSetup("A layer remembers the targets of one robot; give each robot its own, or the layer's class.")
+    return made
+
+
+def one_of(kind: Literal["layer", "gate"], given: Any, wanted: type[Any]) -> Any:
+    """Return a layer or gate from an object, a class or a name.
+
+    Raises:
+        InvalidSetup: It is something else.
+        UnknownName: There is no such name.
+    """
+    found = lookup.find(kind, given)
+    found = found() if isinstance(found, type) else found
+    if not isinstance(found, wanted):
+        raise InvalidSetup(f"{given!r} is no {kind}; valid is an object or class of {wanted.__name__}, or its name.")
+    return found
+
+
+def _gate(name: str, options: Mapping[str, Any]) -> Gate:
+    """Return a gate that a setup names."""
+    found = lookup.find("gate", name)
+    if not (isinstance(found, type) and issubclass(found, Gate)):
+        raise InvalidSetup(f"{name!r} is {found!r}; valid is a subclass of rcs.envs.Gate.")
+    try:
+        return found(**options)
+    except TypeError as err:
+        valid = ", ".join(one for one in inspect.signature(found.__init__).parameters if one != "self")
+        raise InvalidSetup(f"The gate {name!r} does not take {sorted(options)}; valid options: {valid}.") from err
+
+
+def site_of(setup: Setup, hardware: Any) -> Site:
+    """Return the site that `hardware` of `make` stands for in a setup; nothing is connected.
+
+    Raises:
+        InvalidSetup: It is none of what is valid there.
+        UnknownName: A name in it, or in the setup, does not exist.
+    """
+    return _site(hardware, resolve(setup))
+
+
+def _site(hardware: Any, parts: Parts) -> Site:
+    robots = {robot.name: (robot.arm, robot.end_effector) for robot in parts.robots}
+    return Site.of(hardware, robots, [one.name for one in parts.cameras], [one.name for one in parts.tactile])
+
+
+def devices_of(hardware: Any, parts: Parts) -> Devices:
+    """Return the devices that `hardware` of `make` stands for; nothing is connected.
+
+    Raises:
+        InvalidSetup: It is none of what is valid there.
+        UnknownName: A name in it does not exist.
+    """
+    if hardware is None:
+        return Devices()
+    robots = {robot.name: (robot.arm, robot.end_effector) for robot in parts.robots}
+    cameras = {camera.name: (camera.camera, _mode(parts.setup, camera)) for camera in parts.cameras}
+    tactile = {sensor.name: sensor.sensor for sensor in parts.tactile}
+    compliance = {robot.name: robot.compliance for robot in parts.robots if robot.compliance is not None}
+    return _site(hardware, parts).devices(robots, cameras, tactile, compliance)
+
+
+def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:
+    """Return the mode of a real camera that frames of a setup are cut out of: the smallest that is large enough."""
+    width, height = setup.cameras.size_of(camera.name)
+    rate = camera.camera.frame_rate((width, height), setup.cameras.fps_of(camera.name))
+    large = [
+        mode for mode in camera.camera.modes if mode.width >= width and mode.height >= height and rate in mode.rates
+    ]
+    large = large or [mode for mode in camera.camera.modes if rate in mode.rates]
+    mode = min(large, key=lambda mode: mode.width * mode.height)
+    return CameraMode(mode.width, mode.height, rate, setup.cameras.depth)
