@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 import rcs
-from rcs.agents import Sway
+from rcs.agents import JointSweep
 from rcs.robots import FR3, FRANKA_HAND
 from rcs.virtual import StandInArm
 
@@ -22,7 +22,7 @@ with (
     rcs.make("Free", relative=False, hardware=hardware, max_episode_steps=None) as env,
     rcs.attach_twin(env, on_alarm="hold") as twin,
 ):
-    agent = Sway(env, amplitude=0.4)
+    agent = JointSweep(env, amplitude=0.4)
     observation, info = env.reset()
     agent.reset(observation, info)
     for _ in range(75):

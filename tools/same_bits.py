@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import rcs
-from rcs.agents.choice import agent_for
+from rcs.agents import agent_for
 
 SETUPS: dict[str, dict[str, Any]] = {
     "PickCuboid:fr3": {"observe": ("torques", "wrench", "contacts", "privileged")},

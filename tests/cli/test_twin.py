@@ -11,7 +11,7 @@ import pytest
 import viser
 
 import rcs
-from rcs.agents import Sway
+from rcs.agents import JointSweep
 from rcs.cli.main import main
 from rcs.errors import InvalidSetup
 from rcs.rollout.interactive.twin_view import TwinView
@@ -49,7 +49,7 @@ def test_errors_say_what_is_wrong(arguments: list[str], words: str, capsys: pyte
 
 def test_the_page_shows_the_robot_and_its_twin_side_by_side() -> None:
     with rcs.make("Free", relative=False, hardware="sim") as env, rcs.attach_twin(env) as twin:
-        agent = Sway(env)
+        agent = JointSweep(env)
         with TwinView(env.robots, twin, port=0) as view:
             view.show()  # nothing is known yet
             agent.reset(*env.reset())
@@ -77,6 +77,6 @@ def test_the_page_shows_the_robot_and_its_twin_side_by_side() -> None:
         view.close()
 
 
-def test_swaying_needs_absolute_joints() -> None:
-    with rcs.make("Free") as env, pytest.raises(InvalidSetup, match="relative=False"):
-        Sway(env)
+def test_a_sweep_needs_absolute_joints() -> None:
+    with rcs.make("Free") as env, pytest.raises(InvalidSetup, match="relative='absolute'"):
+        JointSweep(env)

@@ -11,7 +11,7 @@ import viser
 
 import rcs
 from rcs.errors import InvalidSetup
-from rcs.rollout.interactive.browser_view import start_server
+from rcs.rollout.interactive.page import start_server
 from rcs.sim.browser_scene import BrowserScene
 
 

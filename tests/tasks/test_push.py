@@ -10,7 +10,7 @@ import pytest
 
 import rcs
 from rcs.agents import agent_for
-from rcs.agents.closed_tool import Tip
+from rcs.agents.push import Tip
 from rcs.devices import lookup
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of

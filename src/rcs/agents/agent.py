@@ -1,15 +1,20 @@
-"""The interface of an agent: a script, a planner, a person at a device, or a policy."""
+"""The interface of an agent (a script, a planner, a person at a device, or a policy), and the choice of one."""
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
+from rcs.devices import lookup
+from rcs.envs.env import Env
 from rcs.envs.spaces import Action, Observation
+from rcs.errors import InvalidSetup
 
 Event = Literal["engage", "release", "start", "stop", "discard", "reset", "takeover"]
-"""What an operator asks for besides an action."""
+"""An operator's request besides an action."""
 
 
 class Agent(ABC):
@@ -36,7 +41,7 @@ class Agent(ABC):
 
     @property
     def failure_message(self) -> str | None:
-        """What went wrong in this episode, for people to read; None where there is no more to say than the class."""
+        """What went wrong in this episode, for people to read; None if the class says it all."""
         return None
 
     def notes(self) -> Mapping[str, Any]:
@@ -46,3 +51,47 @@ class Agent(ABC):
     def events(self) -> Sequence[Event]:
         """Return an operator's requests since the last call, oldest first."""
         return ()
+
+
+def agent_for(env: Env, agent: Any = None) -> Agent:
+    """Return an agent for an environment.
+
+    Args:
+        env: The environment.
+        agent: An agent, a class or function that makes one from the environment, the name of an entry point of
+            `rcs.agents`, `module:Class`, the path of a checkpoint, or the address of a policy, such as
+            `vla://127.0.0.1:8090`; None for the expert that the task names.
+
+    Raises:
+        InvalidSetup: The task names no expert, or `agent` does not make an Agent.
+        UnknownName: There is no agent of this name.
+    """
+    if agent is None:
+        task = lookup.find("task", env.setup.task)
+        agent = task.expert
+        if agent is None:
+            raise InvalidSetup(
+                f"There is no scripted expert for the task {task.__name__!r}: it names none. Give an agent, or set the "
+                f"task's attribute `expert`, for example to one of {', '.join(map(repr, lookup.names('agent')))}."
+            )
+    if is_path(agent):
+        return lookup.find("policy", "checkpoint")(agent, env)
+    if is_address(agent):
+        return lookup.find("policy", "address")(agent, env)
+    found = lookup.find("agent", agent)
+    made = found if isinstance(found, Agent) else found(env) if callable(found) else None
+    if not isinstance(made, Agent):
+        raise InvalidSetup(f"The agent {agent!r} is {made!r}; valid is a class or function that makes an Agent.")
+    return made
+
+
+def is_path(given: Any) -> bool:
+    """Return whether an agent or a task is given as the path of a checkpoint or a run, not by name."""
+    if isinstance(given, Path):
+        return True
+    return isinstance(given, str) and ":" not in given and (os.sep in given or Path(given).is_dir())
+
+
+def is_address(given: Any) -> bool:
+    """Return whether an agent is given as the address of a policy, not by name."""
+    return isinstance(given, str) and "://" in given

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,51 +80,39 @@ class PlaceExpert(Script):
     task = "Place"
     needs = ("cuboid", "goal")
     phases = CARRY
+    is_aligned: ClassVar[bool] = False
+    """Turn the cuboid along the goal's axes, if the arm can."""
 
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan a grasp and setting down."""
-        return plan_carry(arm, *poses_of(self))
+        return plan_carry(arm, *self._poses(), is_aligned=self.is_aligned)
 
     def prepare(self, phase: Phase) -> None:
-        """Aim again when the cuboid is in the hand."""
-        if phase.name in ("carry", "aim"):
-            aim(self)
+        """Plan the setting down again for the cuboid in the hand, where it may have moved or turned."""
+        if phase.name not in ("carry", "aim"):
+            return
+        cuboid, goal = self._poses()
+        for arm in self.arms:
+            tcp = Pose.from_tquat(arm.observation[TQUAT])
+            joints = np.array(arm.observation[JOINTS])
+            goals = _goals(arm, cuboid, goal, self.is_aligned and phase.name == "carry")
+            way = _way_down(arm, tcp.inverse() * cuboid, goals, joints)
+            if way is not None:
+                arm.plan = {**arm.plan, **way[1]}
+
+    def _poses(self) -> tuple[Pose, Pose]:
+        """Return the poses of the cuboid, the right way up, and of its goal."""
+        cuboid, goal = (Pose.from_tquat(self.info[key]) for key in ("cuboid", "goal"))
+        if cuboid.matrix[2, 2] < 0.0:
+            cuboid = cuboid * Pose.from_rpy((0.0, 0.0, 0.0), (np.pi, 0.0, 0.0))  # it is the same, upside down
+        return cuboid, goal
 
 
-class StackExpert(Script):
+class StackExpert(PlaceExpert):
     """Carries the cuboid at `info["cuboid"]` to `info["goal"]` and turns it along what is below, if the arm can."""
 
     task = "StackCuboid"
-    needs = ("cuboid", "goal")
-    phases = CARRY
-
-    def plan(self, arm: ScriptedArm) -> Plan | None:
-        """Plan a grasp and setting down."""
-        return plan_carry(arm, *poses_of(self), is_aligned=True)
-
-    def prepare(self, phase: Phase) -> None:
-        """Aim again when the cuboid is in the hand."""
-        if phase.name in ("carry", "aim"):
-            aim(self, is_aligned=phase.name == "carry")
-
-
-def poses_of(script: Script) -> tuple[Pose, Pose]:
-    """Return the poses of the cuboid, the right way up, and of its goal."""
-    cuboid, goal = (Pose.from_tquat(script.info[key]) for key in ("cuboid", "goal"))
-    if cuboid.matrix[2, 2] < 0.0:
-        cuboid = cuboid * Pose.from_rpy((0.0, 0.0, 0.0), (np.pi, 0.0, 0.0))  # it is the same, upside down
-    return cuboid, goal
-
-
-def aim(script: Script, *, is_aligned: bool = False) -> None:
-    """Plan again how to set down the cuboid as it is in the hand, where it may have moved or turned."""
-    cuboid, goal = poses_of(script)
-    for arm in script.arms:
-        tcp = Pose.from_tquat(arm.observation[TQUAT])
-        joints = np.array(arm.observation[JOINTS])
-        way = _way_down(arm, tcp.inverse() * cuboid, _goals(arm, cuboid, goal, is_aligned), joints)
-        if way is not None:
-            arm.plan = {**arm.plan, **way[1]}
+    is_aligned = True
 
 
 def plan_carry(arm: ScriptedArm, cuboid: Pose, goal: Pose, *, is_aligned: bool = False) -> Plan | None:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.agents.closed_tool import Tip
 from rcs.agents.grasp import plan_from_above
 from rcs.agents.script import Phase, Plan, Script, ScriptedArm
+from rcs.envs.control_layers import GRASP
 from rcs.envs.env import Env
 from rcs.envs.spaces import TQUAT, Action, Observation
+from rcs.kinematics import load
+from rcs.robots import GripperDescription, HandDescription
 from rcs.spatial import Pose
 
 BEHIND = 0.012
@@ -29,6 +33,8 @@ BESIDE = np.deg2rad(60.0)
 """Angle at the block between the tool and the way to the goal at which the block slips past the tool."""
 SETTLING_TIME = 1.5
 """Time for the block to lie still and be judged [s]."""
+TIP_LENGTH = 0.03
+"""Length of the tool's tip [m]: about the height of the block."""
 
 
 def has_pushed(script: Script) -> bool:
@@ -125,3 +131,58 @@ def _direction(block: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray
     """Return the direction from block to goal on the table, (2,)."""
     way = goal[:2] - block[:2]
     return way / max(float(np.sqrt(way @ way)), 1e-9)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tip:
+    """The box around the tip of a closed gripper or hand, in the TCP's frame."""
+
+    middle: tuple[float, float, float]
+    """Middle of the face at its end [m]."""
+    half: tuple[float, float]
+    """Half its extents along x and y [m]."""
+
+    @staticmethod
+    def of(effector: GripperDescription | HandDescription) -> Tip:
+        """Measure the shapes that collide, of a gripper closed on nothing or a hand in a power grasp."""
+        model = load(effector).compile()
+        data = mujoco.MjData(model)
+        for name, value in zip(effector.joints, _closed(effector), strict=True):
+            data.joint(name).qpos = value
+        mujoco.mj_kinematics(model, data)
+        tcp = data.site(effector.tcp_site)
+        solid = np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+        corners = np.concatenate([_corners(model, data, int(geom)) for geom in solid])
+        corners = (corners - tcp.xpos) @ tcp.xmat.reshape(3, 3)
+        end = corners[:, 2].max()
+        sides = corners[corners[:, 2] > end - TIP_LENGTH, :2]
+        low, high = sides.min(axis=0), sides.max(axis=0)
+        x, y = ((low + high) / 2).tolist()
+        half_x, half_y = ((high - low) / 2).tolist()
+        return Tip(middle=(x, y, float(end)), half=(half_x, half_y))
+
+    @property
+    def radius(self) -> float:
+        """Radius of the circle around it [m]."""
+        return float(np.hypot(*self.half))
+
+    def place(self, tcp: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the middle for a pose of the TCP (7,), in the same frame: x, y, and its lowest z [m], (3,)."""
+        rotation = Pose.from_tquat(tcp).matrix[:3, :3]
+        middle = tcp[:3] + rotation @ np.array(self.middle)
+        middle[2] -= np.abs(rotation[2, :2]) @ np.array(self.half)
+        return middle
+
+
+def _closed(effector: GripperDescription | HandDescription) -> NDArray[np.float64]:
+    if isinstance(effector, GripperDescription):
+        return np.array(effector.joint_closed)
+    low, high = np.array(effector.joint_lower), np.array(effector.joint_upper)
+    return low + np.array(effector.grasps[GRASP]) * (high - low)
+
+
+def _corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> NDArray[np.float64]:
+    """Return the corners of the box around a geom, (8, 3) [m]."""
+    center, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
+    return data.geom_xpos[geom] + (center + signs * half) @ data.geom_xmat[geom].reshape(3, 3).T

@@ -23,7 +23,6 @@ from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.site import Site
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.evaluate import Summary
-from rcs.rollout.expert_ways import expert_diversity
 from rcs.rollout.operator import Operator, TerminalOperator, VirtualOperator, operator_of
 
 if TYPE_CHECKING:
@@ -110,8 +109,7 @@ class CollectCommand(RunOptions):
                 raise
         _summarise(collection, progress, console)
         if self.report and progress.kept:
-            scripted = None if progress.is_interrupted else expert_diversity(collection)
-            page = write_report(collection.out, wall_time=progress.seconds or None, scripted=scripted)
+            page = write_report(collection.out, wall_time=progress.seconds or None)
             console.print(f"Report: {page}", soft_wrap=True)
         console.print(f"Dataset: {collection.out}   ({time.perf_counter() - started:.1f} s in all)", soft_wrap=True)
         return INTERRUPTED if progress.is_interrupted else 0

@@ -10,7 +10,7 @@ from pathlib import Path
 from rcs_data.cli.console import plain_console
 from rcs_data.cli.program import INTERRUPTED
 
-from rcs.agents.choice import is_path
+from rcs.agents.agent import is_path
 from rcs.cli.runs import RunOptions, evaluation_folder, interruptible, results_table, show
 from rcs.rollout.collect import Attempt
 from rcs.rollout.evaluate import Evaluation, Summary, evaluate

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from rcs.agents.choice import is_path
+from rcs.agents.agent import is_path
 from rcs.cli.setup_options import SetupOptions
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup

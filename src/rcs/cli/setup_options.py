@@ -16,7 +16,7 @@ import tyro
 from rcs_data.record import Record
 from tyro.constructors import PrimitiveConstructorSpec
 
-from rcs.agents.choice import is_path
+from rcs.agents.agent import is_path
 from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup

@@ -15,7 +15,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from rcs.agents.sway import Sway
+from rcs.agents import JointSweep
 from rcs.cli.sim import ended_by_signals
 from rcs.envs.env import Env
 from rcs.envs.observers.twin import Comparison, OnAlarm, Twin, attach_twin
@@ -100,7 +100,7 @@ class TwinCommand:
         )
 
     def _sway(self, env: Env, twin: Twin, console: Console, show: Any) -> None:
-        agent = Sway(env, amplitude=self.amplitude, period=self.period)
+        agent = JointSweep(env, amplitude=self.amplitude, period=self.period)
         observation, info = env.reset()
         agent.reset(observation, info)
         begin = shown = time.monotonic()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rcs.agents.choice import is_path
+from rcs.agents.agent import is_path
 from rcs.envs.step.stack import for_all
 from rcs.errors import InvalidSetup
 from rcs.rl.policy import PolicyAgent

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rcs_data.durable import remove_tree, write_file
 from rcs_data.output import temporary_folder
 
-from rcs.agents.choice import is_path
+from rcs.agents.agent import is_path
 from rcs.rollout.pool import Worker
 
 FOLDER = "rcs-worker"

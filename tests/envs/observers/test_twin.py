@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.agents import Sway
+from rcs.agents import JointSweep
 from rcs.envs import Alarm, Twin
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
@@ -46,7 +46,7 @@ def bench(
     return assemble(replace(parts, devices=devices, now=clock, sleep=clock.sleep)), arms
 
 
-def run(env: Env, agent: Sway, steps: int, observation: Any, info: Any) -> tuple[Any, Any]:
+def run(env: Env, agent: JointSweep, steps: int, observation: Any, info: Any) -> tuple[Any, Any]:
     for _ in range(steps):
         observation, _, terminated, truncated, info = env.step(agent.act(observation, info))
         if terminated or truncated:
@@ -58,7 +58,7 @@ def run(env: Env, agent: Sway, steps: int, observation: Any, info: Any) -> tuple
 @pytest.mark.parametrize("robot", ["fr3", "ur5e", "dual_fr3"])
 def test_lag_and_errors_of_every_joint_are_those_of_the_stand_in(clock: Any, robot: str, delay: float) -> None:
     env, _ = bench(clock, delay=delay, robot=robot)
-    twin, agent = Twin(env.robots), Sway(env)
+    twin, agent = Twin(env.robots), JointSweep(env)
     env.add_observer(twin)
     with env:
         agent.reset(*env.reset())
@@ -72,7 +72,7 @@ def test_lag_and_errors_of_every_joint_are_those_of_the_stand_in(clock: Any, rob
 
 def test_without_noise_a_twin_in_the_loop_is_the_robot_itself_some_time_ago(clock: Any) -> None:
     env, _ = bench(clock, delay=0.03, noise=0.0)
-    twin, agent = Twin(env.robots), Sway(env)
+    twin, agent = Twin(env.robots), JointSweep(env)
     env.add_observer(twin)
     with env:
         agent.reset(*env.reset())
@@ -86,7 +86,7 @@ def test_an_alarm_comes_within_100_ms_when_the_stand_in_stops_following(clock: A
     alarms: list[Alarm] = []
     env, arms = bench(clock, delay=delay)
     env.add_observer(Twin(env.robots, on_alarm=alarms.append))
-    agent = Sway(env)
+    agent = JointSweep(env)
     with env:
         agent.reset(*env.reset())
         observation, info = run(env, agent, steps, {}, {})
@@ -102,7 +102,7 @@ def test_an_alarm_comes_within_100_ms_when_the_stand_in_stops_following(clock: A
 
 def test_of_two_robots_the_one_that_stops_is_named(clock: Any) -> None:
     env, arms = bench(clock, delay=0.02, robot="dual_fr3")
-    twin, agent = Twin(env.robots), Sway(env)
+    twin, agent = Twin(env.robots), JointSweep(env)
     env.add_observer(twin)
     with env:
         agent.reset(*env.reset())
@@ -115,7 +115,7 @@ def test_of_two_robots_the_one_that_stops_is_named(clock: Any) -> None:
 
 def test_there_is_no_alarm_in_minutes_of_normal_following_with_pauses_holds_and_resets(clock: Any) -> None:
     env, _ = bench(clock, delay=0.05, noise=1e-3)
-    twin, agent = Twin(env.robots), Sway(env, amplitude=0.5, period=2.5)
+    twin, agent = Twin(env.robots), JointSweep(env, amplitude=0.5, period=2.5)
     env.add_observer(twin)
     with env:
         for seed in range(3):
@@ -134,7 +134,7 @@ def test_there_is_no_alarm_in_minutes_of_normal_following_with_pauses_holds_and_
 
 def test_a_new_episode_begins_without_an_alarm(clock: Any) -> None:
     env, arms = bench(clock, delay=0.02)
-    twin, agent = Twin(env.robots), Sway(env)
+    twin, agent = Twin(env.robots), JointSweep(env)
     env.add_observer(twin)
     with env:
         agent.reset(*env.reset())
@@ -155,7 +155,7 @@ def in_real_time(**options: Any) -> tuple[Env, StandInArm]:
 
 def test_beside_the_loop_and_in_real_time_an_alarm_has_all_devices_hold_and_ends_the_episode() -> None:
     env, arm = in_real_time()
-    agent = Sway(env, amplitude=0.4)
+    agent = JointSweep(env, amplitude=0.4)
     with env, rcs.attach_twin(env, on_alarm="hold") as twin:
         agent.reset(*env.reset())
         observation, info = run(env, agent, 60, {}, {})
@@ -179,7 +179,7 @@ def test_an_alarm_can_call_a_function_or_only_be_told() -> None:
     alarms: list[Alarm] = []
     for on_alarm in ("info", alarms.append):
         env, arm = in_real_time()
-        agent = Sway(env, amplitude=0.4)
+        agent = JointSweep(env, amplitude=0.4)
         with env, rcs.attach_twin(env, on_alarm=on_alarm):
             agent.reset(*env.reset())
             run(env, agent, 40, {}, {})

@@ -17,8 +17,9 @@ import pytest
 import viser
 
 from rcs.envs.setup import Setup
-from rcs.errors import MissingDependency
-from rcs.rollout.interactive.browser_view import BrowserView, start_server
+from rcs.errors import InvalidSetup, MissingDependency
+from rcs.rollout.interactive.browser_view import BrowserView
+from rcs.rollout.interactive.page import start_server
 from rcs.rollout.interactive.session import Session, playable
 from rcs.spatial import distance, xyzw_to_wxyz
 
@@ -51,7 +52,7 @@ def give(view: BrowserView, label: str, value: Any) -> None:
     event = viser.GuiEvent(client=None, client_id=7, target=handle)
     for callback in handle._impl.update_cb:
         asyncio.run_coroutine_threadsafe(callback(event), server.get_event_loop()).result(10)
-    view.turn()
+    view.update()
 
 
 def words(view: BrowserView) -> str:
@@ -72,7 +73,7 @@ def drag(view: BrowserView, robot: str, pose: np.ndarray) -> None:
     event = viser.TransformControlsEvent(client=None, client_id=7, target=gizmo, phase="update")
     for callback in gizmo._impl_aux.update_cb:
         asyncio.run_coroutine_threadsafe(callback(event), server.get_event_loop()).result(10)
-    view.turn()
+    view.update()
 
 
 def test_a_dragged_target_is_where_the_arm_goes(view: BrowserView) -> None:
@@ -80,11 +81,11 @@ def test_a_dragged_target_is_where_the_arm_goes(view: BrowserView) -> None:
     pose = guide.tcp_in_scene + np.array([0.05, 0.1, -0.1, 0, 0, 0, 0])
     drag(view, "fr3", pose)
     for _ in range(90):
-        view.turn()
+        view.update()
     assert distance(guide.tcp_in_scene, pose)[0] < 2e-3
     sliders = [control(view, joint).value for joint in guide.robot.arm.joints]
     view._panel._next_text = 0.0
-    view.turn()
+    view.update()
     sliders = [control(view, joint).value for joint in guide.robot.arm.joints]
     np.testing.assert_allclose(sliders, view.session.observation["joints"], atol=0.01)
 
@@ -93,7 +94,7 @@ def test_a_slider_of_a_joint_moves_the_joint_and_the_target_goes_along(view: Bro
     guide = view.session.guides["fr3"]
     give(view, guide.robot.arm.joints[0], 0.5)
     for _ in range(90):
-        view.turn()
+        view.update()
     assert view.session.observation["joints"][0] == pytest.approx(0.5, abs=2e-3)
     gizmo = server_of(view).scene.get_handle_by_name("/targets/fr3")
     np.testing.assert_allclose(gizmo.position, guide.tcp_in_scene[:3], atol=2e-3)
@@ -103,7 +104,7 @@ def test_the_buttons_pause_step_play_and_begin_episodes(view: BrowserView) -> No
     session = view.session
     give(view, "Time", "Pause")
     steps = session.steps
-    view.turn()
+    view.update()
     assert session.steps == steps
     assert "**paused**" in words(view)
     give(view, "Time", "Step")
@@ -129,7 +130,7 @@ def test_what_is_said_of_the_buttons_at_the_end_is_what_they_do(view: BrowserVie
 def test_the_gripper_follows_its_slider(view: BrowserView) -> None:
     give(view, "Opening", 0.3)
     for _ in range(60):
-        view.turn()
+        view.update()
     assert view.session.observation["gripper"][0] == pytest.approx(0.3, abs=0.02)
 
 
@@ -138,7 +139,7 @@ def test_the_expert_shows_how_it_is_done_and_the_target_is_hidden_meanwhile(view
     gizmo = server_of(view).scene.get_handle_by_name("/targets/fr3")
     words_at_the_end = ""
     for _ in range(600):
-        view.turn()
+        view.update()
         if view.session.is_over:
             words_at_the_end = words(view)
             break
@@ -151,7 +152,7 @@ def test_a_fault_is_told_and_the_button_recovers(view: BrowserView, monkeypatch:
     assert not control(view, "Recover").visible
     with monkeypatch.context() as broken:
         broken.setattr(view.session.env.stack, "faults", lambda: {"fr3": "collision at joint 4"})
-        view.turn()
+        view.update()
     assert "collision at joint 4" in words(view)
     assert control(view, "Recover").visible
     give(view, "Recover", True)
@@ -159,25 +160,22 @@ def test_a_fault_is_told_and_the_button_recovers(view: BrowserView, monkeypatch:
     assert not control(view, "Recover").visible
 
 
-def test_another_scene_is_loaded_and_one_that_cannot_be_leaves_the_present(view: BrowserView) -> None:
-    control(view, "Task").value = "LiftBar"
-    give(view, "Load", True)  # LiftBar needs two robots
-    assert "> InvalidSetup" in words(view)
-    assert view.session.setup.task == "PickCuboid"
-    view.turn()
-    control(view, "Robot").value = "dual_fr3"
-    former = view.session
-    give(view, "Load", True)
-    assert (view.session.setup.task, view.session.setup.robot) == ("LiftBar", "dual_fr3")
-    assert not former.world.core.is_open
-    assert set(view.session.guides) == {"left", "right"}
-    view.session.close()
+def test_an_error_of_a_request_is_shown_and_the_session_goes_on(view: BrowserView) -> None:
+    def fail() -> None:
+        raise InvalidSetup("no such robot")
+
+    view.submit(fail)
+    view.update()
+    assert "> InvalidSetup: no such robot" in words(view)
+    steps = view.session.steps
+    view.update()
+    assert view.session.steps > steps
 
 
 def test_contact_forces_are_shown_when_wanted(view: BrowserView) -> None:
     give(view, "Contact forces", True)
     for _ in range(10):
-        view.turn()
+        view.update()
     assert server_of(view).scene.get_handle_by_name("/scene/contacts").visible
     give(view, "Contact forces", False)
     assert not server_of(view).scene.get_handle_by_name("/scene/contacts").visible
@@ -234,7 +232,7 @@ def test_two_pages_show_the_scene_use_no_network_and_may_be_closed(
         end = time.monotonic() + 120
         while not is_true():
             assert time.monotonic() < end, f"errors: {chromium.errors}"
-            view.turn()
+            view.update()
 
     until(lambda: len(server.get_clients()) == 1)
     second = chromium.call("Target.createTarget", url=view.url, newWindow=True)["targetId"]

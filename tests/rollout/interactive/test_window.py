@@ -53,7 +53,7 @@ def played(monkeypatch: pytest.MonkeyPatch) -> tuple[Window, PanelOnly]:
 def turn(window: Window, times: int) -> None:
     for _ in range(times):
         window._next_sync = 0.0
-        window.turn()
+        window.update()
 
 
 def test_a_slider_of_the_panel_leads_its_joint_through_the_environments_layers(
@@ -129,7 +129,7 @@ from rcs.rollout.interactive.window import Window
 with Session(playable(Setup(task="PickCuboid"))) as session, Window(session) as window:
     assert window._viewer.is_running
     while session.steps < 10:
-        window.turn()
+        window.update()
 assert not window._viewer.is_running
 print("ended")
 """

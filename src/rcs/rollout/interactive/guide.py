@@ -1,4 +1,4 @@
-"""Turns what a person asks of one robot, a pose or joints and an opening, into the actions of its environment."""
+"""Turns the wishes of a person for one robot, a pose or joints and an opening, into actions of its environment."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ LEAD = 0.1
 """Longest way of the target before the TCP [m], so that it comes back at once from where the arm cannot follow."""
 
 STUCK = 0.002, 0.01, 1.0
-"""The arm cannot get there if it has moved less than this [m] and is farther away than this [m] for so long [s]."""
+"""An arm is stuck after moving less than this [m] while farther from its goal than this [m] for this time [s]."""
 
 JOINT_SPEED = 0.5
 """Share of the joints' velocity limits at which joint targets move."""
 
 
 class Guide:
-    """Leads one robot to where a person wants it, at a bounded speed, step by step."""
+    """Leads one robot to a wanted pose or wanted joints, at a bounded speed, step by step."""
 
     def __init__(self, env: Env, robot: RobotPlacement) -> None:
         """Prepare to lead a robot.
@@ -80,10 +80,10 @@ class Guide:
         self._place, self._still = np.zeros(3), 0
 
     def reset(self, observation: Observation) -> None:
-        """Want what is: the pose and the opening of an observation.
+        """Stay at the pose and the opening of an observation.
 
         Args:
-            observation: The first one of an episode, or the last one, to stay there.
+            observation: The first one of an episode, or the last one.
         """
         own = self._own(observation)
         self._writer.reset(own)
@@ -99,7 +99,7 @@ class Guide:
 
     @property
     def is_by_joints(self) -> bool:
-        """Whether joints are wanted, not a pose."""
+        """True if joints are wanted, not a pose."""
         return self._joint_goal is not None
 
     @property
@@ -119,21 +119,21 @@ class Guide:
         return compose(self._base, self._measured[TQUAT])
 
     def lead_to(self, pose_in_scene: NDArray[np.float64]) -> None:
-        """Want the TCP at a pose in the scene, (7,): [m], xyzw."""
+        """Lead the TCP to a pose in the scene, (7,): [m], xyzw."""
         if self._joint_goal is not None:
             self._target, self._joint_goal = self._goal_of(self._joints), None
         self._goal = compose(inverse(self._base), pose_in_scene)
         self._still = 0
 
     def lead_joints_to(self, joints: NDArray[np.float64]) -> None:
-        """Want joints [rad], (dof,); they are cut to the limits."""
+        """Lead the arm to joints [rad], (dof,); they are cut to the limits."""
         if self._joint_goal is None:
             self._joints = np.array(self._writer.joints if self._is_jointwise else self._measured[JOINTS])
         self._joint_goal = np.clip(joints, self.lower, self.upper)
         self._goal, self.is_out_of_reach = self._goal_of(self._joint_goal), False
 
     def stay(self) -> None:
-        """Want the pose where the TCP is now."""
+        """Stay at the present pose of the TCP."""
         self.lead_to(self.tcp_in_scene)
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
@@ -155,8 +155,8 @@ class Guide:
         ahead = target[:3] - place
         target[:3] = place + ahead * min(1.0, LEAD / max(float(np.linalg.norm(ahead)), LEAD))
         action = self._writer.write(target, self.opening)
-        told = info.get("ik_status" if self._key is None else f"{self._key}/ik_status", 0)
-        self.is_out_of_reach = action is None or int(told) != 0 or self._is_stuck(place)
+        status = info.get("ik_status" if self._key is None else f"{self._key}/ik_status", 0)
+        self.is_out_of_reach = action is None or int(status) != 0 or self._is_stuck(place)
         if action is None:
             return self._only_own_keys(self._writer.write_joints(self._writer.joints, self.opening))
         self._target = target

@@ -1,18 +1,15 @@
-"""The panel of the browser view: buttons, sliders, targets to drag, pictures of cameras, words."""
+"""The panel of the browser view: buttons, sliders, targets to drag, frames of cameras, text."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rcs.devices import lookup
-from rcs.envs.setup import Setup
 from rcs.rollout.interactive.guide import Guide
-from rcs.rollout.interactive.session import Session, playable
+from rcs.rollout.interactive.session import Session
 from rcs.sim.browser_scene import BrowserScene
 from rcs.spatial import wxyz_to_xyzw, xyzw_to_wxyz
 
@@ -28,8 +25,8 @@ TEXT_PERIOD = 0.2
 GIZMO_SHARE = 0.2
 """Size of a target to drag in proportion to the reach of its arm."""
 
-Ask = Callable[[Callable[[], None]], None]
-"""Has something done by the thread of the session."""
+Submit = Callable[[Callable[[], None]], None]
+"""Lets the thread of the session handle a request."""
 
 
 class Panel:
@@ -40,37 +37,32 @@ class Panel:
         server: viser.ViserServer,
         session: Session,
         scene: BrowserScene,
-        *,
-        ask: Ask,
-        change: Callable[[Setup], None],
+        submit: Submit,
     ) -> None:
         """Put the controls on the page.
 
         Args:
-            server: Whose pages.
-            session: What is controlled.
+            server: The server of the pages.
+            session: The session to control.
             scene: Its scene on the same pages.
-            ask: Has something done by the thread of the session.
-            change: Simulates another setup.
+            submit: Lets the thread of the session handle a request.
         """
-        self._server, self._session, self._scene = server, session, scene
-        self._ask, self._change = ask, change
-        self._said = ""
+        self._server, self._session, self._scene, self._submit = server, session, scene, submit
+        self._message = ""
         self._next_text = self._next_frame = 0.0
         self._pictures: dict[str, tuple[Any, Any]] = {}
         setup = session.setup
         server.gui.set_panel_label(f"{setup.task} on {setup.robot_label}")
         self._status = server.gui.add_markdown("")
         self._add_episode()
-        self._robots = [RobotControls(server, session, guide, ask) for guide in session.guides.values()]
+        self._robots = [RobotControls(server, session, guide, submit) for guide in session.guides.values()]
         self._add_cameras()
         self._add_view()
-        self._add_choice()
         self.show()
 
-    def tell(self, words: str) -> None:
+    def show_message(self, message: str) -> None:
         """Show a message on all pages until the next reset."""
-        self._said = words
+        self._message = message
         self._next_text = 0.0
 
     def show(self) -> None:
@@ -89,7 +81,7 @@ class Panel:
                     handle.image, self._pictures[name] = frame, (handle, frame)
 
     def _show_text(self) -> None:
-        session, words = self._session, self._said or self._session.problem
+        session, words = self._session, self._message or self._session.problem
         reach = ", ".join(name for name, guide in session.guides.items() if guide.is_out_of_reach)
         lines = [f"**{session.env.instruction}**" if session.env.instruction else ""]
         lines.append(
@@ -113,15 +105,15 @@ class Panel:
         gui, session = self._server.gui, self._session
         with gui.add_folder("Episode"):
             times = {"Play": self._play, "Pause": self._pause, "Step": self._step}
-            _buttons(gui, "Time", self._ask, times, hint="A step is one control period; it pauses.")
-            self._recover = _button(gui, "Recover", self._ask, self._go_on, hint="Clear faults and go on")
+            _buttons(gui, "Time", self._submit, times, hint="A step is one control period; it pauses.")
+            self._recover = _button(gui, "Recover", self._submit, self._go_on, hint="Clear faults and go on")
             self._recover.visible = False
             self._seed = gui.add_number("Seed", session.seed, min=0, step=1, hint="Of the next reset")
             starts = {"Reset": self._reset, "Next seed": self._next}
-            _buttons(gui, "Begin", self._ask, starts, hint="An episode depends on its seed alone.")
+            _buttons(gui, "Begin", self._submit, starts, hint="An episode depends on its seed alone.")
             if session.has_agent:
                 agent = gui.add_checkbox("Agent acts", initial_value=session.agent is not None, hint="In a new episode")
-                _on_value(agent, self._ask, self._let_agent)
+                _on_value(agent, self._submit, self._let_agent)
 
     def _add_cameras(self) -> None:
         frames = self._session.frames
@@ -136,19 +128,10 @@ class Panel:
         with gui.add_folder("View", expand_by_default=False):
             targets = gui.add_checkbox("Targets to drag", initial_value=True)
             contacts = gui.add_checkbox("Contact forces", initial_value=False, hint="1 cm per newton")
-        _on_value(targets, self._ask, self._show_targets)
-        _on_value(contacts, self._ask, lambda is_on: setattr(self._scene, "has_contacts", is_on))
+        _on_value(targets, self._submit, self._show_targets)
+        _on_value(contacts, self._submit, lambda is_on: setattr(self._scene, "has_contacts", is_on))
 
-    def _add_choice(self) -> None:
-        gui, setup = self._server.gui, self._session.setup
-        with gui.add_folder("Other scene", expand_by_default=False):
-            tasks = {*lookup.names("task"), setup.task}
-            robots = {*lookup.names("lab"), *lookup.names("arm"), setup.robot_label}
-            task = gui.add_dropdown("Task", sorted(tasks), initial_value=setup.task)
-            robot = gui.add_dropdown("Robot", sorted(robots), initial_value=setup.robot_label)
-            _button(gui, "Load", self._ask, lambda: self._load(str(task.value), str(robot.value)))
-
-    # --- What a page asks for, done by the thread of the session ------------------------------------------------------
+    # --- Requests of pages, handled by the thread of the session ------------------------------------------------------
 
     def _play(self) -> None:
         self._session.is_playing = True
@@ -173,7 +156,7 @@ class Panel:
         self._begin(lambda: self._session.let_agent(is_acting))
 
     def _begin(self, start: Callable[[], None]) -> None:
-        self._said = ""
+        self._message = ""
         start()
         self._seed.value = self._session.seed
         self._scene.rebuild()
@@ -185,29 +168,20 @@ class Panel:
         for robot in self._robots:
             robot.is_shown = is_on
 
-    def _load(self, task: str, robot: str) -> None:
-        setup = self._session.setup
-        if task != setup.task:
-            setup = replace(setup, task=task, task_options={})
-        if robot != setup.robot:
-            cameras = replace(setup.cameras, names="all" if setup.cameras else (), mounts={}, calibration=None)
-            setup = replace(setup, robot=robot, end_effector=None, cameras=cameras, tactile=None)
-        self._change(playable(setup))
-
 
 class RobotControls:
     """A target to drag and sliders for one robot."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, guide: Guide, ask: Ask) -> None:
+    def __init__(self, server: viser.ViserServer, session: Session, guide: Guide, submit: Submit) -> None:
         """Put them on the page.
 
         Args:
-            server: Whose pages.
-            session: What is controlled.
-            guide: What leads the robot.
-            ask: Has something done by the thread of the session.
+            server: The server of the pages.
+            session: The session to control.
+            guide: The guide of the robot.
+            submit: Lets the thread of the session handle a request.
         """
-        self._session, self._guide, self._ask = session, guide, ask
+        self._session, self._guide, self._submit = session, guide, submit
         self.is_shown = True
         """Whether the target to drag is wanted."""
         name, arm = guide.robot.name, guide.robot.arm
@@ -219,15 +193,15 @@ class RobotControls:
         @self._gizmo.on_update
         async def _(event: Any) -> None:
             pose = np.concatenate([event.target.position, wxyz_to_xyzw(event.target.wxyz)])
-            ask(lambda: guide.lead_to(pose))
+            submit(lambda: guide.lead_to(pose))
 
         gui = server.gui
         self._opening: Any = None
         with gui.add_folder(f"{name}: {arm.label}"):
             if guide.has_opening:
                 self._opening = gui.add_slider("Opening", 0.0, 1.0, 0.01, guide.opening)
-                _on_value(self._opening, ask, self._open)
-            _button(gui, "Target to the arm", ask, self._stay, hint="Stay where the arm is now")
+                _on_value(self._opening, submit, self._open)
+            _button(gui, "Target to the arm", submit, self._stay, hint="Stay where the arm is now")
             with gui.add_folder("Joints [rad]", expand_by_default=False):
                 rows = zip(arm.joints, guide.lower, guide.upper, guide.joints, strict=True)
                 self._joints = [
@@ -235,7 +209,7 @@ class RobotControls:
                     for label, lower, upper, value in rows
                 ]
             for index, slider in enumerate(self._joints):
-                _on_value(slider, ask, lambda value, index=index: self._turn_joint(index, value))
+                _on_value(slider, submit, lambda value, index=index: self._turn_joint(index, value))
 
     def show(self) -> None:
         """Have sliders and target follow what is wanted."""
@@ -244,7 +218,7 @@ class RobotControls:
         self._gizmo.visible = self.is_shown and is_led
         if not is_led:
             self.snap()
-        elif not guide.is_by_joints:  # else a person holds a slider
+        elif not guide.is_by_joints:  # otherwise a person holds a slider
             self._follow_joints()
 
     def snap(self) -> None:
@@ -281,30 +255,30 @@ def _place(pose: Any) -> dict[str, Any]:
     return {"position": np.array(pose[:3]), "wxyz": xyzw_to_wxyz(pose[3:])}
 
 
-def _button(gui: viser.GuiApi, label: str, ask: Ask, do: Callable[[], None], hint: str | None = None) -> Any:
+def _button(gui: viser.GuiApi, label: str, submit: Submit, do: Callable[[], None], hint: str | None = None) -> Any:
     button = gui.add_button(label, hint=hint)
 
     # Asynchronous, for these are called in the order of the clicks.
     @button.on_click
     async def _(event: Any) -> None:
-        ask(do)
+        submit(do)
 
     return button
 
 
-def _buttons(gui: viser.GuiApi, label: str, ask: Ask, choices: dict[str, Callable[[], None]], hint: str) -> None:
+def _buttons(gui: viser.GuiApi, label: str, submit: Submit, choices: dict[str, Callable[[], None]], hint: str) -> None:
     group = gui.add_button_group(label, tuple(choices), hint=hint)
 
     @group.on_click
     async def _(event: Any) -> None:
-        ask(choices[event.target.value])
+        submit(choices[event.target.value])
 
 
-def _on_value(handle: Any, ask: Ask, do: Callable[[Any], None]) -> None:
-    """Have the thread of the session do something with the value that a page gives a control."""
+def _on_value(handle: Any, submit: Submit, do: Callable[[Any], None]) -> None:
+    """Let the thread of the session handle a value that a page gives a control."""
 
     @handle.on_update
     async def _(event: Any) -> None:
-        if event.client_id is not None:  # else the value is our own
+        if event.client_id is not None:  # otherwise the value is our own
             value = event.target.value
-            ask(lambda: do(value))
+            submit(lambda: do(value))

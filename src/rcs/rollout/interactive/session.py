@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from rcs_data.closing import Closing
 
-from rcs.agents import Agent
-from rcs.agents.choice import agent_for
+from rcs.agents import Agent, agent_for
 from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
@@ -23,13 +22,13 @@ from rcs.sim.world import World
 
 
 def playable(setup: Setup, *, keep_gripper: bool = False) -> Setup:
-    """Return a setup as a person plays with it: at the rate of the wall clock, without a limit of steps.
+    """Return a setup for interactive use: at the rate of the wall clock, without a limit of steps.
 
-    A gripper opens as far as it is told; a hand still opens and closes as a whole.
+    A gripper opens by degrees; a hand still opens and closes as a whole.
 
     Args:
-        setup: What is simulated.
-        keep_gripper: Whether the gripper is commanded as in the setup, for an agent that was trained in it.
+        setup: The setup.
+        keep_gripper: Keep the gripper commands of the setup, for an agent that was trained in it.
 
     Raises:
         UnknownName: The setup names something that is not there.
@@ -41,48 +40,48 @@ def playable(setup: Setup, *, keep_gripper: bool = False) -> Setup:
 
 
 class Session(Closing):
-    """One episode after the other of an environment; one thread uses it. A context manager.
+    """Episodes of an environment, one after the other, used by one thread. A context manager.
 
-    Errors of a step do not end it: `problem` has the words, and `recover` goes on.
+    Errors of a step do not end it: `problem` has the message, and `recover` goes on.
     """
 
     def __init__(self, setup: Setup, *, seed: int = 0, agent: Any = None) -> None:
         """Make the environment and begin its first episode.
 
         Args:
-            setup: What is simulated, as `playable` returns it, or with other timing in tests.
-            seed: Of the first episode.
-            agent: Who may act in place of the person, as `agent_for` takes it; None for the expert of the task.
+            setup: The setup, as `playable` returns it, or with other timing in tests.
+            seed: Seed of the first episode.
+            agent: Agent that may act in place of the person, as `agent_for` takes it; None for the task's expert.
 
         Raises:
             UnknownName: The setup names something that is not there.
             InvalidSetup: Its parts do not fit each other, or a layer leaves actions that a person cannot make.
         """
         self.observation: Observation = {}
-        """The present one."""
+        """The present observation."""
         self.info: Mapping[str, Any] = {}
-        """Of the last step, or of the reset."""
+        """Info of the last step, or of the reset."""
         self._actor = agent
         self.env: Env = make(setup)
         try:
             self.guides: dict[str, Guide] = {name: Guide(self.env, robot) for name, robot in self.env.robots.items()}
-            """What leads each robot, by its name."""
+            """The guide of each robot, by its name."""
             self.is_playing = True
             """Whether `advance` makes steps."""
             self.seed = seed
-            """Of the present episode."""
+            """Seed of the present episode."""
             self.agent: Agent | None = None
-            """Who acts in place of the person."""
+            """The agent that acts in place of the person; None if the person does."""
             self._begin(seed, None)
         except BaseException:
             self.env.close()
             raise
 
-    # --- What is seen -------------------------------------------------------------------------------------------------
+    # --- State --------------------------------------------------------------------------------------------------------
 
     @property
     def setup(self) -> Setup:
-        """What is simulated."""
+        """The simulated setup."""
         return self.env.setup
 
     @property
@@ -92,7 +91,7 @@ class Session(Closing):
 
     @property
     def has_agent(self) -> bool:
-        """Whether there is somebody to act in place of the person."""
+        """True if there is an agent to act in place of the person."""
         return self._actor is not None or lookup.find("task", self.setup.task).expert is not None
 
     @property
@@ -109,16 +108,16 @@ class Session(Closing):
             return "success" if self.info.get("success", False) else "over"
         return "running" if self.is_playing else "paused"
 
-    # --- What a person does -------------------------------------------------------------------------------------------
+    # --- Control ------------------------------------------------------------------------------------------------------
 
     def reset(self, seed: int | None = None) -> None:
         """Begin an episode.
 
         Args:
-            seed: Which one; None for the one after the present one.
+            seed: Seed of the episode; None for the one after the present one.
 
         Raises:
-            RcsError: The environment cannot be reset; `problem` has the words too.
+            RcsError: The environment cannot be reset; `problem` has the message, too.
         """
         self._begin(self.seed + 1 if seed is None else seed, None)
 
@@ -126,7 +125,7 @@ class Session(Closing):
         """Clear faults and go on: from where everything is after a fault, anew after anything else.
 
         Raises:
-            RcsError: It cannot go on; `problem` has the words too.
+            RcsError: It cannot go on; `problem` has the message, too.
         """
         self.env.recover()
         state = self.world.states() if self._is_fault else None
@@ -145,7 +144,7 @@ class Session(Closing):
             self._end_agent()
 
     def step(self) -> None:
-        """Make one step with what is wanted of the robots, unless the episode is over. It takes a control period."""
+        """Make one step, of one control period, unless the episode is over."""
         if self.is_over:
             return
         try:
@@ -168,7 +167,7 @@ class Session(Closing):
             self.problem, self._is_fault = "The simulation diverged.", False
 
     def advance(self) -> bool:
-        """Make a step if the episode is played and not over; return whether one was made."""
+        """Make a step if the session is playing and the episode not over; return whether one was made."""
         if not self.is_playing or self.is_over:
             return False
         self.step()
@@ -182,7 +181,7 @@ class Session(Closing):
 
     def _begin(self, seed: int, state: Any) -> None:
         self.problem = ""
-        """Why the episode was stopped, in words; empty if nothing is wrong."""
+        """Why the episode was stopped; empty if nothing is wrong."""
         self._is_fault = False
         self.is_over = True
         """Whether the episode is over, so that only `reset` and `recover` go on."""

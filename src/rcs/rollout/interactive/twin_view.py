@@ -1,15 +1,14 @@
-"""A page in the browser with a robot as it is measured, and beside it its twin as it should be."""
+"""A page in the browser with the measured robot, and beside it its twin."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rcs.envs.observers.twin import Twin
-from rcs.rollout.interactive.browser_view import start_server
+from rcs.rollout.interactive.page import Page
 from rcs.sim.browser_scene import BrowserScene
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.timed_world import TimedWorld
@@ -18,16 +17,16 @@ if TYPE_CHECKING:
     import viser
 
 APART = 1.3
-"""Distance between a robot and its twin, in parts of its reach."""
+"""Distance between a robot and its twin as a share of its reach."""
 
 BLUE = (0.13, 0.38, 0.85)
 """Colour of the twin."""
 
-LEGEND = "Left the robot, as it is measured; right, in blue, its twin, as it should be."
+LEGEND = "Left: the measured robot. Right, in blue: its twin, the expected motion."
 
 
-class TwinView:
-    """Serves both to browsers; a context manager. One thread calls `show`."""
+class TwinView(Page):
+    """Serves robots and their twin to browsers; a context manager. One thread calls `show`."""
 
     def __init__(
         self, robots: Mapping[str, RobotPlacement], twin: Twin, *, host: str = "127.0.0.1", port: int = 8080
@@ -36,53 +35,34 @@ class TwinView:
 
         Args:
             robots: The robots by name.
-            twin: What follows them.
+            twin: Their twin.
             host: Address to listen at; the default is for this machine alone. There is no password.
             port: Port to listen at, or the next one that is free; 0 for any.
         """
+        super().__init__(host, port)
         self._robots, self._twin = dict(robots), twin
-        self._host, self._port = host, port
-        self._server: viser.ViserServer | None = None
         self._pictures: list[tuple[TimedWorld, BrowserScene]] = []
         self._text: Any = None
 
-    def open(self) -> None:
-        """Start to serve.
-
-        Raises:
-            MissingDependency: viser is not installed.
-            InvalidSetup: This machine cannot listen at the address.
-        """
-        self._server = server = start_server(self._host, self._port)
+    def _build(self, server: viser.ViserServer) -> None:
         robots = list(self._robots.values())
         bases = np.array([robot.base_in_scene.translation for robot in robots])
         apart = APART * max(robot.arm.workspace_reach for robot in robots) + np.ptp(bases[:, 1])
-        try:
-            for name, side, tint in (("robot", -0.5, None), ("twin", 0.5, BLUE)):
-                world = TimedWorld(robots)  # for this page alone, put where the robots are
-                place = (0.0, side * apart, 0.0)
-                scene = BrowserScene(server, world.world, robots, name=name, place=place, tint=tint)
-                self._pictures.append((world, scene))
-                server.scene.add_label(
-                    f"/{name}/label",
-                    name,
-                    position=(0.5 * apart, 0.0, 0.0),  # on the floor before it, from the scene's own origin
-                    font_screen_scale=1.6,
-                    anchor="center-center",
-                )
-            server.initial_camera.position = (2.4 * apart, 0.25 * apart, 0.8 * apart)  # the panel covers the right side
-            server.initial_camera.look_at = (0.0, 0.25 * apart, 0.3 * apart)
-            self._text = server.gui.add_markdown(f"{LEGEND}\n\nWaiting for the first step.")
-        except BaseException:
-            self.close()
-            raise
-
-    @property
-    def url(self) -> str:
-        """Address of the page."""
-        assert self._server is not None, "it is open"
-        host = "localhost" if self._host in ("0.0.0.0", "127.0.0.1") else self._host
-        return f"http://{host}:{self._server.get_port()}"
+        for name, side, tint in (("robot", -0.5, None), ("twin", 0.5, BLUE)):
+            world = TimedWorld(robots)  # for this page alone, put where the robots are
+            place = (0.0, side * apart, 0.0)
+            scene = BrowserScene(server, world.world, robots, name=name, place=place, tint=tint)
+            self._pictures.append((world, scene))
+            server.scene.add_label(
+                f"/{name}/label",
+                name,
+                position=(0.5 * apart, 0.0, 0.0),  # on the floor before it, from the scene's own origin
+                font_screen_scale=1.6,
+                anchor="center-center",
+            )
+        server.initial_camera.position = (2.4 * apart, 0.25 * apart, 0.8 * apart)  # the panel covers the right side
+        server.initial_camera.look_at = (0.0, 0.25 * apart, 0.3 * apart)
+        self._text = server.gui.add_markdown(f"{LEGEND}\n\nWaiting for the first step.")
 
     def show(self) -> None:
         """Show the present state of both."""
@@ -97,23 +77,10 @@ class TwinView:
 
     def close(self) -> None:
         """End the server. Closing twice is harmless."""
-        if self._server is not None:
-            server, self._server = self._server, None
-            server.stop()
+        super().close()
         for world, _ in self._pictures:
             world.close()
         self._pictures = []
-
-    def __enter__(self) -> Self:
-        """Start to serve."""
-        self.open()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """End the server."""
-        self.close()
 
 
 def _words(name: str, one: Any) -> str:

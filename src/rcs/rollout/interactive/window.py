@@ -39,15 +39,15 @@ class Window:
         """Prepare a window; nothing is open yet.
 
         Args:
-            session: What is shown and led.
+            session: The session to show and control.
         """
         self.session = session
         self._keys: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._viewer = Viewer(session.world, has_panels=True, on_key=self._keys.put)
         self._next_sync = 0.0
 
-    def turn(self) -> None:
-        """Do what was asked, make a step if the session is playing, and show the state."""
+    def update(self) -> None:
+        """Handle keys, make a step if the session is playing, and show the state."""
         while not self._keys.empty():
             self._press(self._keys.get())
         if not self.session.advance():
@@ -62,7 +62,7 @@ class Window:
     def run(self) -> None:
         """Go on until the window is closed."""
         while self._viewer.is_running:
-            self.turn()
+            self.update()
 
     def _press(self, key: int) -> None:
         session = self.session
@@ -72,9 +72,9 @@ class Window:
             session.is_playing = False
             session.step()
         elif key == ENTER and session.problem:
-            self._do(session.recover)
+            self._try(session.recover)
 
-    def _do(self, request: Callable[[], None]) -> None:
+    def _try(self, request: Callable[[], None]) -> None:
         try:
             request()
         except RcsError as err:
@@ -92,7 +92,7 @@ class Window:
         self._viewer.sync()
         is_at_zero = np.array_equal(world.qpos, world.model.qpos0) and not np.array_equal(world.qpos, places)
         if float(world.time) < then or is_at_zero:  # Backspace, or the panel's reset, which know nothing of episodes
-            self._do(session.reset)
+            self._try(session.reset)
             return
         changed = np.flatnonzero(world.ctrl != before)
         if changed.size:
@@ -120,7 +120,7 @@ def lead_by_controls(
 
     Args:
         robot: The robot.
-        guide: What leads it.
+        guide: Its guide.
         changed: Ids of the actuators whose controls were set; those of other robots are left alone.
         controls: Controls of all actuators, (nu,).
     """
