@@ -123,7 +123,7 @@ def test_a_driver_that_has_it_gets_all_the_numbers_that_the_simulation_has() -> 
     rcs.make("Free", hardware={"fr3": f"{name}:a"}).close()
     assert SoftDriver.given == {}
     entry = {"driver": name, "address": "a", "options": {"compliance": "tcp"}}
-    with pytest.raises(InvalidSetup, match="give it to the setup instead"):
+    with pytest.raises(InvalidSetup, match="set it in the setup instead"):
         rcs.make("Free", hardware={"fr3": entry})
 
 

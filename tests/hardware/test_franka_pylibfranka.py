@@ -224,7 +224,7 @@ def test_what_this_backend_cannot_do_is_refused() -> None:
         ({"backend": "libfranka"}, "valid: franky, pylibfranka"),
         (
             {"backend": "pylibfranka", "compliance": rcs.Compliance(tcp=(1000, 60))},
-            "compliance of the TCP is of the backend",
+            "TCP compliance needs the backend",
         ),
     ):
         with pytest.raises(InvalidSetup, match=match):

@@ -226,7 +226,7 @@ def test_opening_raises_what_the_driver_raises(tmp_path: Path) -> None:
     with pytest.raises(DeviceFault, match="IndexError: list index"):
         arm.open()
     drop(tmp_path, "open", "abort")
-    with pytest.raises(DeviceFault, match="ended while it opened"):
+    with pytest.raises(DeviceFault, match="ended while opening"):
         arm.open()
     assert not arm.is_open
     with arm:
@@ -237,7 +237,7 @@ def test_opening_raises_what_the_driver_raises(tmp_path: Path) -> None:
 def test_opening_that_does_not_return_ends_with_the_address_and_what_to_look_at(deed: str, tmp_path: Path) -> None:
     arm = unruly_arm(tmp_path, "192.0.2.7")
     drop(tmp_path, "open", deed)
-    with pytest.raises(DeviceFault, match=r"192\.0\.2\.7 did not end within 1\.5 s.*Look at the address, the cable"):
+    with pytest.raises(DeviceFault, match=r"192\.0\.2\.7 did not end within 1\.5 s.*Check the address, the cable"):
         arm.open()
     with arm:
         arm.state()

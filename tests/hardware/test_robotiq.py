@@ -195,7 +195,7 @@ def test_a_wrong_address_is_a_fault_with_what_to_look_at() -> None:
     [
         ({"speed": 1.0}, "0.02 to 0.15"),
         ({"force": True}, "20 to 235"),
-        ({"open": 200, "closed": 100}, "open at 200"),
+        ({"open": 200, "closed": 100}, "open is 200"),
         ({"widht": 1}, "widht"),
     ],
 )

@@ -289,7 +289,7 @@ def test_a_port_that_is_mute_or_not_there_is_told_within_three_seconds(virtual, 
     virtual.tell("cut")
     arm, _ = devices(virtual)
     begin = time.monotonic()
-    with pytest.raises(DeviceFault, match="look at the power supply"):
+    with pytest.raises(DeviceFault, match="check the power supply"):
         arm.open()
     assert time.monotonic() - begin < 3.0
     nowhere = So101Driver().arm(str(tmp_path / "ttyACM9"), SO101, {})

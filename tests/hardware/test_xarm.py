@@ -232,7 +232,7 @@ def test_who_changes_the_mode_meanwhile_is_told_of(arm: Arm) -> None:
     wait_until(lambda: arm.state().mode == "servo")
     with socket.create_connection((ADDRESS, 502)) as other:
         other.sendall(bytes([0, 1, 0, 2, 0, 3, 19, 0, 0]))  # mode 0
-        assert "changed the mode" in wait_for_fault(arm)
+        assert "the mode or a setting was changed" in wait_for_fault(arm)
 
 
 SECOND = """
@@ -450,7 +450,7 @@ def test_wrong_addresses_are_faults_with_what_to_look_at() -> None:
     assert time.monotonic() - begin < 3.0
 
 
-@pytest.mark.parametrize(("answer", "reason"), [(b"", "says nothing"), (b"HTTP/1.1 400 Bad", "this is no xArm")])
+@pytest.mark.parametrize(("answer", "reason"), [(b"", "sends nothing"), (b"HTTP/1.1 400 Bad", "this is not an xArm")])
 def test_a_mute_peer_and_another_device_are_told_of_in_time(answer: bytes, reason: str, served: VirtualProcess) -> None:
     with socket.create_server((f"{ADDRESS.rpartition('.')[0]}.99", 502)) as peer:
         program = subprocess.Popen(

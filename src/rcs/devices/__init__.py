@@ -1,6 +1,6 @@
-"""Devices behind one interface each, implementable in C++ or in Python, and how to find them by name."""
+"""Interfaces of devices, which may be implemented in C++ or Python, and their lookup by name."""
 
-# A module with devices in C++ shares its types, which must be there before it.
+# A module with devices in C++ shares these types, which must be loaded first.
 from rcs_data.lazy import load_on_use
 
 from rcs import _core  # noqa: F401  # pyright: ignore[reportUnusedImport]

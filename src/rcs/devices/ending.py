@@ -1,4 +1,4 @@
-"""What open devices do when a program in Python ends: they hold. Signals are minded in `core/src/termination.cpp`."""
+"""Hold open devices when a Python program ends. `core/src/termination.cpp` handles signals."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from rcs._core import stop_all
 
 @functools.cache
 def hold_at_the_end() -> None:
-    """Have every open device that moves hold at exit, and after an exception that nobody handles, in any thread.
+    """Hold every open device that moves, at exit and after an unhandled exception in any thread.
 
-    The first device that opens calls it. At a prompt, which goes on after an exception, so do the devices.
+    The first device that opens calls it. At an interactive prompt, which continues after an exception, devices
+    continue, too.
     """
     atexit.register(stop_all, "the program ended without closing its devices")
     told, told_in_thread = sys.excepthook, threading.excepthook

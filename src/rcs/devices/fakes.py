@@ -1,8 +1,8 @@
 """Devices without hardware and without physics, for tests and for writing a program before the robot arrives.
 
-All take a `clock`, which returns the time [s]: give the clock of a simulation to run faster than real time.
-Measurements have its time as that of the device. `lose_link`, `restore` and `trip` are what happens to real devices:
-without a link every call fails, `hold` too. Power comes with the first command, and goes when the device is closed.
+All take a `clock`, which returns the time [s] and is the device time of measurements: pass the clock of a simulation to
+run faster than real time. `lose_link`, `restore` and `trip` imitate the faults of real devices: without a link every
+call fails, even `hold`. The first command switches the power on; closing the device switches it off.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ Clock = Callable[[], float]
 
 
 class Body:
-    """What is behind a fake: values that run to their targets at constant speeds, and what has happened to it."""
+    """State of a fake: values that move to their targets at constant speeds, and its faults."""
 
     def __init__(self, clock: Clock, start: ArrayLike = (), speed: ArrayLike = ()) -> None:
         self._clock = clock
-        self._lock = threading.Lock()  # a stop comes from any thread
+        self._lock = threading.Lock()  # a stop may come from any thread
         self._speed = np.asarray(speed, np.float64)
         self.values = np.array(start, np.float64)
         self.target = self.values.copy()
@@ -48,7 +48,7 @@ class Body:
         self.has_power = False
 
     def move(self, *, stops: bool = False) -> None:
-        """Let the time pass that has passed on the clock, and stay there if it stops."""
+        """Move up to the present time of the clock; with `stops`, stay there."""
         now = self._clock()
         with self._lock:
             passed = max(now - self.time, 0.0)
@@ -60,12 +60,12 @@ class Body:
                 self.target = self.values.copy()
 
     def stop(self) -> None:
-        """Stay here."""
+        """Stop at the present values."""
         self.move(stops=True)
 
 
 def _reach(device: Fake) -> Body:
-    """Return what is behind a device as it is now, unless its link is lost."""
+    """Return the state of a device at the present time, unless its link is lost."""
     body = device.body
     if not body.has_link:
         raise DeviceFault("the link is lost")
@@ -84,18 +84,18 @@ def _open(device: Fake) -> None:
 
 
 def _lose_link(device: Fake) -> None:
-    """Have every later call fail, also `hold`, as when the cable is out; the device stops by itself."""
+    """Make every later call fail, even `hold`, as if the cable were unplugged; the device stops by itself."""
     device.body.stop()
     device.body.has_link = False
 
 
 def _restore(device: Fake) -> None:
-    """Put the cable back in; a fault stays until `recover`."""
+    """Restore the link; a fault remains until `recover`."""
     device.body.has_link = True
 
 
 def _trip(device: Fake, reason: str) -> None:
-    """Stop and go into fault as a controller does in a reflex: it refuses even `hold` until `recover`."""
+    """Stop and enter the fault state, like a controller in a reflex, which refuses even `hold` until `recover`."""
     device.body.stop()
     device.body.has_reflex = True
     device.set_fault(reason)
@@ -121,7 +121,7 @@ def _close(device: Fake) -> None:
 
 
 class FakeArm(Arm):
-    """An arm that moves to its target at its largest joint velocities; `push` is a person's hand."""
+    """An arm that moves to its target at its largest joint velocities; `push` imitates a person's hand."""
 
     lose_link, restore, trip = _lose_link, _restore, _trip
     _open, _hold, _recover, _has_arrived, _close = _open, _hold, _recover, _has_arrived, _close
@@ -134,20 +134,20 @@ class FakeArm(Arm):
         clock: Clock = time.monotonic,
         name: str = "fake arm",
     ) -> None:
-        """Stand at `start`.
+        """Start at rest at `start`.
 
         Args:
             limits: Joint limits and velocities.
-            start: Joints at the beginning [rad], shape (dof,); the middle of the limits when not given.
+            start: Initial joint positions [rad], shape (dof,); None for the middle of the limits.
             clock: Returns the time [s].
-            name: Name in messages.
+            name: Name of the device in messages.
         """
         super().__init__(name, limits)
         middle = (limits.joint_lower + limits.joint_upper) / 2
         self.body = Body(clock, middle if start is None else start, limits.joint_velocity)
 
     def push(self, joints: NDArray[np.float64]) -> None:
-        """Move the arm by a difference of joints [rad] as a person would who guides it: its target goes with it."""
+        """Move the arm and its target by a difference of joint positions [rad], like a person who guides it."""
         self.body.move()
         self.body.values = np.clip(self.body.values + joints, self.limits.joint_lower, self.limits.joint_upper)
         self.body.target = self.body.values.copy()
@@ -188,14 +188,14 @@ class FakeGripper(Gripper):
         clock: Clock = time.monotonic,
         name: str = "fake gripper",
     ) -> None:
-        """Stand open.
+        """Start open.
 
         Args:
             max_width: Width at opening 1 [m].
             max_force: Largest force [N].
             speed: Change of the opening per second [1/s].
             clock: Returns the time [s].
-            name: Name in messages.
+            name: Name of the device in messages.
         """
         super().__init__(name, max_width, max_force)
         self.body = Body(clock, [1.0], [speed])
@@ -217,7 +217,7 @@ class FakeHand(Hand):
     def __init__(
         self, joint_count: int, *, speed: float = 2.5, clock: Clock = time.monotonic, name: str = "fake hand"
     ) -> None:
-        """Stand open, all joints at 0; `speed` is the change of every joint per second, as a share of its range."""
+        """Start open, all joints at 0; `speed` is the change of every joint per second, as a fraction of its range."""
         super().__init__(name, joint_count)
         self.body = Body(clock, np.zeros(joint_count), speed)
 
@@ -230,7 +230,7 @@ class FakeHand(Hand):
 
 
 class FakeCamera(Camera):
-    """A camera that sees a grey ramp which moves one pixel per frame, so that repeats can be told from new frames."""
+    """A camera that shows a grey ramp, which moves one pixel per frame to distinguish new frames from repeated ones."""
 
     lose_link, _open, _recover = _lose_link, _open, _recover
 
@@ -249,11 +249,11 @@ class FakeCamera(Camera):
         self._frozen: Frame | None = None
 
     def freeze(self) -> None:
-        """Give the newest frame again and again from now on, as a camera does that hangs."""
+        """Return the same frame from now on, like a camera that hangs."""
         self._frozen = self.read()
 
     def restore(self) -> None:
-        """Put the cable back in, and go on with new frames."""
+        """Restore the link and return new frames."""
         _restore(self)
         self._frozen = None
 

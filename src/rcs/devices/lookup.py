@@ -1,4 +1,4 @@
-"""Find an arm, a gripper, a camera or a task by name, by `module:Class`, or as the object that is given."""
+"""Find arms, grippers, cameras, tasks and other plugins by name or `module:Class`."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ OBJECTS = ("arm", "gripper", "hand", "camera", "tactile", "lab")
 
 
 def names(kind: Kind) -> list[str]:
-    """Return the names of everything of a kind that is installed; nothing is imported."""
+    """Return the names of all installed plugins of a kind without importing them."""
     return sorted(_entries(kind))
 
 
 def find(kind: Kind, given: Any) -> Any:
-    """Import and return what a name stands for.
+    """Import and return the object that a name stands for.
 
     Args:
-        kind: What it is; the entry-point group is `rcs.` and its plural.
-        given: Name of an entry point, or `module:Class`; whatever is no text is returned as it is.
+        kind: Kind of plugin; the entry-point group is `rcs.` and the plural of the kind.
+        given: Name of an entry point, or `module:Class`; anything but a string is returned unchanged.
 
     Raises:
-        UnknownName: Nothing installed has the name, or the module has no such class; the message has the nearest match.
-        InvalidSetup: An installed package names it, and it cannot be imported.
+        UnknownName: No installed plugin has the name, or the module has no such class; the message has the nearest
+            match.
+        InvalidSetup: An installed package registers the name, but the object cannot be imported.
     """
     if not isinstance(given, str):
         return given
@@ -41,28 +42,28 @@ def find(kind: Kind, given: Any) -> Any:
         return _import(kind, given)
     entries = _entries(kind)
     if given not in entries:
-        hint = f"A package adds one through the entry-point group {_group(kind)!r}; `module:Class` is valid too."
+        hint = f"A package registers one in the entry-point group {_group(kind)!r}; `module:Class` is valid too."
         raise UnknownName(kind, given, entries, hint)
     entry = entries[given]
     try:
         return entry.load()
-    except Exception as err:  # whatever a module of another package raises
+    except Exception as err:  # a module of another package may raise anything
         package = "" if entry.dist is None else f" of the package {entry.dist.name!r}"
         raise InvalidSetup(
             f"The {kind} {given!r} is {entry.value!r}{package}, which cannot be imported: {type(err).__name__}: {err}. "
-            "Mend the package, or uninstall it."
+            "Fix or uninstall the package."
         ) from err
 
 
 def name_of(kind: Kind, given: Any) -> str:
-    """Return the name under which `find` finds something again: the text that is given, or `module:NAME`.
+    """Return the name under which `find` finds an object: the given string, or `module:NAME`.
 
     Args:
-        kind: What it is.
-        given: A name, or a class; of arms, labs and parts that are descriptions, an object that is a global variable.
+        kind: Kind of plugin.
+        given: A name, or a class; for descriptions (arms, labs and their parts), also an object that is a global variable.
 
     Raises:
-        InvalidSetup: It is none of these.
+        InvalidSetup: The object is none of these.
     """
     if isinstance(given, str):
         return given
@@ -98,14 +99,14 @@ def _import(kind: Kind, given: str) -> Any:
         raise UnknownName(kind, given, _entries(kind), f"The module {module!r} cannot be imported: {err}.") from err
     for part in path.split("."):
         if not hasattr(found, part):
-            hint = "A class inside of a function cannot be found by name."
+            hint = "A class inside a function cannot be found by name."
             raise UnknownName(f"{kind} in the module {module!r}", path, _own_names(found), hint)
         found = getattr(found, part)
     return found
 
 
 def _own_names(place: Any) -> list[str]:
-    """Return the public names of a module, or of a class in it, without what it imports."""
+    """Return the public names of a module, or of a class in it, without imported names."""
     module = place.__name__ if isinstance(place, ModuleType) else place.__module__
 
     def is_own(value: Any) -> bool:

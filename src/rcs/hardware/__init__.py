@@ -1,4 +1,4 @@
-"""Real devices by name: a site says which drivers reach them and where."""
+"""Real devices: sites, which name the driver and address of each device, and the drivers."""
 
 from rcs_data.lazy import load_on_use
 

@@ -1,4 +1,4 @@
-"""The interface of a driver: how the devices of a vendor are made from an address."""
+"""The interface of a driver, which makes a vendor's devices from an address."""
 
 from __future__ import annotations
 
@@ -17,57 +17,57 @@ Connection = TypeVar("Connection")
 
 @dataclass(frozen=True, kw_only=True)
 class HostTimes:
-    """How long calls of a driver in a host may take; a host in which one takes longer is killed, as a fault."""
+    """Time limits for calls of a driver in a host; exceeding one kills the host and puts the device at fault."""
 
     answer: float = 0.2
-    """A measurement, a command or a stop [s]."""
+    """Limit for a measurement, a command or a stop [s]."""
     open: float = 3.0
-    """Connecting, with the import of the vendor's library [s]."""
+    """Limit for connecting, including the import of the vendor's library [s]."""
     recover: float = 15.0
-    """Leaving a fault state [s]."""
+    """Limit for leaving a fault state [s]."""
     close: float = 3.0
-    """Letting go [s]."""
+    """Limit for disconnecting [s]."""
     period: float = 0.005
-    """Time between a measurement and the next one [s]."""
+    """Time between two measurements [s]."""
 
 
 class Driver:
-    """Makes devices. A driver overrides what it has; nothing is connected before a device's `open`.
+    """Base class of drivers. Override a method per kind of device; a device connects in its `open`, not before.
 
-    A package offers one through the entry-point group `rcs.drivers`, as a class without arguments. One object of it
-    makes all devices of a site that name it, so that they can share connections; see `link`.
+    A package registers its driver, a class without arguments, in the entry-point group `rcs.drivers`. A single instance
+    makes all devices of a site that name the driver, so that they can share connections; see `link`.
     """
 
     hosted: ClassVar[bool] = False
-    """Whether its arms, grippers and hands run in a process of their own, one for each address. So do those that call
-    a vendor's library from Python: such a library may keep the interpreter, crash, or never return. A site's option
-    `host` overrides it."""
+    """True to run arms, grippers and hands in a separate process, one per address. Set it for drivers that call a
+    vendor's library from Python: such a library may hold the GIL, crash, or never return. A site's option `host`
+    overrides it."""
     host_times: ClassVar[HostTimes] = HostTimes()
-    """How long its calls may take there."""
+    """Time limits of calls in that process."""
     gives_way: ClassVar[bool] = False
-    """Whether its arms can give way to a push as springs do. The options of `arm` then have `compliance`, a
-    `rcs.Compliance` with all its numbers, where the setup has one; else such a setup is refused."""
+    """True if arms can yield to a push like springs. The options of `arm` then contain `compliance`, a complete
+    `rcs.Compliance`, if the setup has one. With False, such a setup is refused."""
 
     def __init__(self) -> None:
-        """Connect nothing."""
+        """Create the driver without connecting to a device."""
         self._links: dict[str, Link[Any]] = {}
 
     def library(self, options: Mapping[str, Any]) -> str:
-        """Return which library a device with these options needs, where that cannot share a process with the usual one.
+        """Return the library that a device needs if it cannot share a process with the usual one; "" for the usual one.
 
-        Hosts serve one library each; "" is the usual one.
+        Each host serves a single library.
         """
         return ""
 
     def link(
         self, address: str, connect: Callable[[], Connection], disconnect: Callable[[Connection], None]
     ) -> Link[Connection]:
-        """Return the connection to an address that all devices there share.
+        """Return the connection that all devices at an address share.
 
         Args:
-            address: Where; the first device that asks decides how it is reached.
-            connect: Returns the connection.
-            disconnect: Lets go of it.
+            address: Address of the devices; the functions of the first caller are used.
+            connect: Opens and returns the connection.
+            disconnect: Closes it.
         """
         return self._links.setdefault(address, Link(connect, disconnect))
 
@@ -75,9 +75,9 @@ class Driver:
         """Return an arm.
 
         Args:
-            address: Where it is, such as an IP address or a serial port.
-            about: Its figures.
-            options: What else the site says of it.
+            address: IP address, serial port or the like.
+            about: Description of the arm.
+            options: The site's options for this device.
         """
         self._refuse("arms")
 
@@ -90,7 +90,7 @@ class Driver:
         self._refuse("hands")
 
     def camera(self, address: str, about: CameraDescription, mode: CameraMode, options: Mapping[str, Any]) -> Camera:
-        """Return a camera that delivers frames of a mode; other arguments as in `arm`."""
+        """Return a camera that delivers frames in the given mode; other arguments as in `arm`."""
         self._refuse("cameras")
 
     def tactile(self, address: str, about: TactileDescription, mode: CameraMode, options: Mapping[str, Any]) -> Camera:
@@ -98,4 +98,4 @@ class Driver:
         self._refuse("tactile sensors")
 
     def _refuse(self, what: str) -> NoReturn:
-        raise InvalidSetup(f"The driver {type(self).__name__} has no {what}; choose another driver for them.")
+        raise InvalidSetup(f"The driver {type(self).__name__} makes no {what}; choose another driver for them.")

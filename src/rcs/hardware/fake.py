@@ -1,4 +1,4 @@
-"""A driver of fakes: devices of every kind without hardware, behind the interfaces that real ones have."""
+"""A driver of fake devices of every kind, which need no hardware and have the interfaces of real ones."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from rcs.robots.tactile import TactileDescription
 
 
 class FakeDriver(Driver):
-    """Makes devices that move as their descriptions say and measure exactly what they do. They take no options."""
+    """Driver of devices that move at the speeds of their descriptions and measure without error; no options."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """Use a clock [s]; give one that is moved by hand to run faster than real time."""
+        """Set the clock [s]; pass one that you advance yourself to run faster than real time."""
         super().__init__()
         self._clock = clock
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> FakeArm:
-        """Return an arm that stands at home."""
+        """Return an arm at its home position."""
         require_fields("option of a fake device", options, ())
         return FakeArm(limits_of(about), start=np.array(about.home), clock=self._clock, name=address or about.name)
 
@@ -48,20 +48,20 @@ class FakeDriver(Driver):
     def camera(
         self, address: str, about: CameraDescription, mode: CameraMode, options: Mapping[str, Any]
     ) -> FakeCamera:
-        """Return a camera that sees a moving ramp."""
+        """Return a camera that shows a moving ramp."""
         require_fields("option of a fake device", options, ())
         return FakeCamera(mode, clock=self._clock, name=address or about.name)
 
     def tactile(
         self, address: str, about: TactileDescription, mode: CameraMode, options: Mapping[str, Any]
     ) -> FakeCamera:
-        """Return a sensor that sees a moving ramp."""
+        """Return a sensor that shows a moving ramp."""
         require_fields("option of a fake device", options, ())
         return FakeCamera(mode, clock=self._clock, name=address or about.name)
 
 
 def limits_of(arm: ArmDescription) -> ArmLimits:
-    """Return the limits of an arm as its device has them."""
+    """Return the limits of an arm's device from its description."""
     return ArmLimits(
         list(arm.joint_lower),
         list(arm.joint_upper),

@@ -1,10 +1,10 @@
-"""The Franka Research 3 and the Franka Hand, on the vendor's network interface (FCI) through `franky-control`.
+"""The Franka Research 3 and the Franka Hand, on the vendor's network interface (FCI), through `franky-control`.
 
-`franka_pylibfranka` leads the same arm through the vendor's own Python library.
+`franka_pylibfranka` controls the same arm through the vendor's own Python library.
 
-Time: franky's own thread answers the robot 1000 times a second, in C++ and without Python. It makes torques, from a
-reference that the arm's thread gives it `RATE` times a second; a reference that comes late is one that stands still,
-and not a packet that is missing. So the arm needs no kernel for real time where the computer is otherwise idle.
+Timing: franky's own C++ thread answers the robot 1000 times a second. It computes torques from a reference that the
+arm's thread updates `RATE` times a second. A late update leaves the reference where it is; the robot misses no packet.
+The arm therefore needs no real-time kernel on a computer that is otherwise idle.
 """
 
 from __future__ import annotations
@@ -33,26 +33,26 @@ from rcs.robots.description import ArmDescription, GripperDescription
 from rcs.robots.franka_hand.description import FRANKA_HAND
 
 RATE: Final = 500.0
-"""References per second [Hz]."""
+"""Rate of updates of the reference [Hz]."""
 STOPPING: Final = 0.5
-"""How long it may take to confirm a stop [s]."""
+"""Timeout for the confirmation of a stop [s]."""
 RECOVERING: Final = 1.0
-"""How long it may take to be idle after its recovery [s]."""
+"""Timeout for becoming idle after a recovery [s]."""
 TORQUE_STEP: Final = 0.99
-"""Most by which a torque changes in a millisecond [N·m]; the robot admits 1.0."""
+"""Largest change of a torque per millisecond [N·m]; the robot admits 1.0."""
 NO_CUTOFF: Final = 1000.0
-"""Cutoff from which the library smooths nothing [Hz]; libfranka, lowpass_filter.h."""
+"""Cutoff frequency at which the library's low-pass filter is off [Hz]; libfranka, lowpass_filter.h."""
 SILENCE: Final = 0.2
-"""Age of a state from which the controller counts as silent [s]; it sends one every millisecond."""
+"""Age of the last state from which the controller counts as silent [s]; it sends one every millisecond."""
 
-# Ours. Those of the arm are libfranka's (examples/joint_impedance_control.cpp); the wrist, which is light, is led with
-# more stiffness and less damping than there, so that it follows within 0.1 s instead of 0.3 s.
+# Joints 1 to 4: libfranka, examples/joint_impedance_control.cpp. The wrist is light and has more stiffness and less
+# damping than in that example, so that it follows within 0.1 s instead of 0.3 s (our choice).
 JOINT_STIFFNESS: Final = (600.0, 600.0, 600.0, 600.0, 300.0, 200.0, 100.0)
 JOINT_DAMPING: Final = (50.0, 50.0, 50.0, 50.0, 20.0, 12.0, 6.0)
 GUIDING_DAMPING: Final = (2.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5)
-"""With which a hand that guides the arm is resisted [N·m·s/rad]; ours."""
+"""Joint damping while a person guides the arm [N·m·s/rad]; our choice."""
 POSTURE_STIFFNESS: Final = 5.0
-"""With which an arm that is stiff at the TCP keeps its elbow [N·m/rad]; ours."""
+"""Joint stiffness that holds the elbow in place when the TCP is controlled [N·m/rad]; our choice."""
 
 _log = logging.getLogger(__name__)
 
@@ -62,45 +62,47 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class FrankaOptions:
-    """What a site may say of an arm."""
+    """A site's options for an arm."""
 
     backend: Backend = "franky"
-    """Library that leads the arm; `pylibfranka`, the vendor's own, in a process of its own and by joints only."""
+    """Library that controls the arm; `pylibfranka`, the vendor's, takes joints only and runs in a separate process."""
     compliance: Compliance | None = None
-    """How the arm gives way to a push, from the setup; None for joints as stiff as they can well be."""
+    """Compliance of the arm, from the setup; None for joints as stiff as is safe."""
     collision_torque: tuple[float, ...] | None = None
-    """Torque at each joint from which the arm takes a push for a collision [N·m], seven; None for the description's."""
+    """Collision threshold of the external torque at each joint [N·m], 7 values; None for the description's."""
     collision_force: float | None = None
-    """The same for the TCP [N], and its moment [N·m]; None for the description's."""
+    """Collision threshold of the force [N] and moment [N·m] at the TCP; None for the description's."""
     speed: float = 1.0
-    """Share of the joints' speeds that the arm uses, above 0 and at most 1."""
+    """Fraction of the joint speed limits to use, above 0 and at most 1."""
     whole_range: bool = False
-    """Use all of the joints' ranges and speeds. Fast ways towards the end of a range then end in a reflex."""
+    """Use the full joint ranges and speeds. Fast motions towards the end of a range then trigger a reflex."""
 
     def __post_init__(self) -> None:
-        """Check every field, and make tuples of lists.
+        """Check every field and convert lists to tuples.
 
         Raises:
-            InvalidSetup: A value makes no sense.
+            InvalidSetup: A value is invalid.
         """
         if self.backend not in get_args(Backend):
             raise InvalidSetup(f"backend is {self.backend!r}; valid: {', '.join(get_args(Backend))}.")
         if self.backend == "pylibfranka" and self.compliance is not None and self.compliance.is_of_tcp:
-            raise InvalidSetup("compliance of the TCP is of the backend 'franky'; 'pylibfranka' has that of joints.")
+            raise InvalidSetup(
+                "TCP compliance needs the backend 'franky'; 'pylibfranka' supports joint compliance only."
+            )
         if not _is_amount(self.speed) or not 0 < self.speed <= 1:
-            raise InvalidSetup(f"speed is {self.speed!r}; valid is a share above 0 and at most 1.")
+            raise InvalidSetup(f"speed is {self.speed!r}; valid is a fraction above 0 and at most 1.")
         if not isinstance(self.whole_range, bool):
             raise InvalidSetup(f"whole_range is {self.whole_range!r}; valid: true, false.")
         given: Any = self.collision_torque
         if given is not None:
             if not isinstance(given, list | tuple) or len(given) != 7 or not all(map(_is_amount, given)):
-                raise InvalidSetup(f"collision_torque is {given!r}; valid are 7 finite numbers from 0.")
+                raise InvalidSetup(f"collision_torque is {given!r}; valid: 7 finite numbers of at least 0.")
             object.__setattr__(self, "collision_torque", tuple(map(float, given)))
         if self.collision_force is not None and not _is_amount(self.collision_force):
-            raise InvalidSetup(f"collision_force is {self.collision_force!r}; valid is a finite number from 0.")
+            raise InvalidSetup(f"collision_force is {self.collision_force!r}; valid is a finite number of at least 0.")
 
     def thresholds(self, about: ArmDescription) -> tuple[list[float], list[float]]:
-        """Return the torques [N·m], seven, and forces [N, N·m], six, from which an arm takes a push for a collision."""
+        """Return the collision thresholds: 7 joint torques [N·m], and 6 forces [N] and moments [N·m] at the TCP."""
         limits = about.collision
         assert limits is not None, "the description of an FR3 has them"
         force = [limits.force] * 3 + [limits.moment] * 3 if self.collision_force is None else [self.collision_force] * 6
@@ -112,21 +114,21 @@ def _is_amount(value: Any) -> bool:
 
 
 class FrankaDriver(Driver):
-    """Makes arms and hands; the address is that of the control box. Options of an arm: those of `FrankaOptions`."""
+    """Driver of arms and hands at the address of a control box. An arm takes the options of `FrankaOptions`."""
 
     hosted = True
     gives_way = True
 
     def library(self, options: Mapping[str, Any]) -> str:
-        """Return `pylibfranka` for an arm of that backend: it brings a libfranka of its own."""
+        """Return `pylibfranka` for an arm with that backend, which ships its own libfranka."""
         return "pylibfranka" if options.get("backend") == "pylibfranka" else ""
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
         """Return an arm.
 
         Raises:
-            UnknownName: There is no such option.
-            InvalidSetup: An option makes no sense, or the description is that of another arm.
+            UnknownName: An option does not exist.
+            InvalidSetup: An option is invalid, or the description is that of another arm.
         """
         require_fields("option of a Franka arm", options, [field.name for field in fields(FrankaOptions)])
         given = FrankaOptions(**options)
@@ -137,27 +139,27 @@ class FrankaDriver(Driver):
         return FrankaArm(address, about, given)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FrankaHand:
-        """Return a hand, which has no options."""
+        """Return a hand; it takes no options."""
         require_fields("option of a Franka Hand", options, [])
         return FrankaHand(address, about)
 
 
 class FrankaArm(StreamedArm):
-    """An FR3, led by torques that pull it towards where it is led, like springs and dampers."""
+    """An FR3 under impedance control: torques pull it towards the reference like springs and dampers."""
 
     def __init__(self, address: str, about: ArmDescription, options: FrankaOptions | None = None) -> None:
-        """Describe the arm; nothing is connected.
+        """Create the arm; `open` connects.
 
         Args:
             address: Address of the control box.
-            about: The arm's figures.
-            options: What else is to be said; None for the defaults.
+            about: Description of the arm.
+            options: The site's options; None for the defaults.
 
         Raises:
-            InvalidSetup: The description has not the FR3's seven joints.
+            InvalidSetup: The description does not have the FR3's seven joints.
         """
         if about.dof != 7:
-            raise InvalidSetup(f"The driver franka leads arms of seven joints; {about.name!r} has {about.dof}.")
+            raise InvalidSetup(f"The driver franka controls arms with seven joints; {about.name!r} has {about.dof}.")
         self._options = FrankaOptions() if options is None else options
         given = self._options.compliance
         self._springs = None if given is None else damped(given, about, FRANKA_HAND)
@@ -176,7 +178,7 @@ class FrankaArm(StreamedArm):
         self._led: Vector | None = None
         self._has_link = self._is_led = False
         self._problem = ""
-        self._seen = (math.nan, 0.0)  # the newest state's time, of the robot and of the host
+        self._seen = (math.nan, 0.0)  # time of the newest state: robot's clock, host's clock
 
     def _open(self) -> None:
         self._franky = franky = package_of("franka", "franky", "The driver franka needs")
@@ -190,7 +192,7 @@ class FrankaArm(StreamedArm):
     def _read(self) -> ArmState:
         state = self._fresh_state()
         if self._motion is not None and not self._robot.is_in_control:
-            self._problem = self._forget_motion() or "the controller has ended the motion and does not say why"
+            self._problem = self._forget_motion() or "the controller ended the motion without giving a reason"
         self._problem = fault_of(state, self._about.joints) or self._problem
         if self._problem and not self._is_led and not self.fault:
             self.set_fault(self._problem)
@@ -201,7 +203,7 @@ class FrankaArm(StreamedArm):
             device_time=self._seen[0],
             commanded_joints=list(state.q if self._led is None else self._led),
             efforts=list(state.tau_J),
-            wrench=list(-state.O_F_ext_hat_K),  # the controller tells what the arm does to others
+            wrench=list(-state.O_F_ext_hat_K),  # the controller reports the force of the arm on its environment
             mode=mode_of(state),
         )
 
@@ -261,7 +263,7 @@ class FrankaArm(StreamedArm):
         self._begin_motion(motion)
 
     def _clear(self) -> None:
-        if not self._has_link:  # the library does not connect anew
+        if not self._has_link:  # the library cannot reconnect
             self._close()
             self._open()
         self._forget_motion()
@@ -281,9 +283,9 @@ class FrankaArm(StreamedArm):
         let_go = [self._robot, self._motion]
         self._robot = self._newest = self._motion = None
         try:
-            within(STOPPING, let_go.clear)  # which disconnects, and where the controller hangs, waits for it
+            within(STOPPING, let_go.clear)  # disconnects; waits for a controller that hangs
         except TimeoutError:
-            _log.warning("%s has not let go within %g s", self.name, STOPPING)
+            _log.warning("%s has not disconnected within %g s", self.name, STOPPING)
 
     def _fresh_state(self) -> Any:
         try:
@@ -301,20 +303,20 @@ class FrankaArm(StreamedArm):
         return state
 
     def _begin_motion(self, motion: Any) -> None:
-        # The library's trackers smooth the torques once more, at 100 Hz, behind the limit of their steps. Of these, 0.4
-        # are then left: too few for the arm to follow, and it swings.
+        # By default the library filters the torques once more, at 100 Hz, after limiting their rate. Only 0.4 of the
+        # admitted rate then remains, which is too slow for the arm to follow, and it oscillates.
         self._robot.move(motion, asynchronous=True, cutoff_frequency=NO_CUTOFF)
         self._motion = motion
 
     def _end_motion(self) -> None:
-        """Bring the arm to rest as torques can, and let go of the motion."""
+        """Bring the arm to rest by torques and end the motion."""
         if self._motion is not None and self._robot.is_in_control:
             stop = self._franky.TorqueStopMotion(max_duration=STOPPING, max_delta_tau=TORQUE_STEP)
             self._robot.move(stop, asynchronous=True)
         self._forget_motion()
 
     def _forget_motion(self) -> str:
-        """Wait for the end of a motion, and return what the library says of it; else the next one would raise that."""
+        """Wait for the end of a motion and return its error, which the next motion would raise otherwise."""
         self._motion = None
         try:
             self._robot.join_motion(2.0 * STOPPING)

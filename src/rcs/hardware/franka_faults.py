@@ -1,4 +1,4 @@
-"""What a Franka controller complains of, in words: what happened, and what to do."""
+"""Messages for the errors of a Franka controller: the cause and the remedy."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from rcs.errors import DeviceFault
 T = TypeVar("T")
 
 CONNECTING = 2.5
-"""How long a controller may take to answer [s]."""
+"""Timeout for a controller's first answer [s]."""
 
 _LATE = (
-    "too many commands in a row came late or not at all: give this computer a cable of its own to the control box, a "
-    "kernel for real time, and less to do (docs/franka.md)"
+    "too many commands in a row were late or lost: use a separate cable to the control box and a real-time kernel, and "
+    "end other programs (docs/franka.md)"
 )
 _FAST = "the motion was faster than the robot admits there: keep away from the ends of the joints' ranges"
 _WORDS = {
-    "joint_reflex": "something pushed against the arm: look what it touched",
-    "cartesian_reflex": "something pushed against the tool: look what it touched",
+    "joint_reflex": "something pushed against the arm: check what it touched",
+    "cartesian_reflex": "something pushed against the tool: check what it touched",
     "communication_constraints_violation": _LATE,
     "joint_velocity_violation": _FAST,
     "cartesian_velocity_violation": _FAST,
@@ -28,19 +28,19 @@ _WORDS = {
     "self_collision_avoidance_violation": "the arm came too close to itself",
     "controller_torque_discontinuity": "the commanded torques jumped, as when commands are lost: " + _LATE,
     "tau_j_range_violation": "the commanded torques were too large: use less stiffness, or a lighter load",
-    "power_limit_violation": "the motors took too much power: move more slowly, or with a lighter load",
-    "instability_detected": "the arm began to swing: use less stiffness, or more damping",
+    "power_limit_violation": "the motors drew too much power: move more slowly, or with a lighter load",
+    "instability_detected": "the arm began to oscillate: use less stiffness, or more damping",
 }
-"""By the name that the vendor's documents use."""
+"""Messages by the error names in the vendor's documentation."""
 
 
 def fault_of(state: Any, joints: Sequence[str], *, is_recoverable: bool = True) -> str:
-    """Return what is wrong with an arm, empty when nothing is.
+    """Return a description of an arm's fault; empty without a fault.
 
     Args:
         state: franky's `RobotState`, or that of pylibfranka.
         joints: Names of the joints.
-        is_recoverable: Whether what `recover` mends counts, too.
+        is_recoverable: True to include faults that `recover` clears.
     """
     mode = mode_of(state)
     if mode == "UserStopped":
@@ -62,7 +62,7 @@ def fault_of(state: Any, joints: Sequence[str], *, is_recoverable: bool = True) 
 
 
 def mode_of(state: Any) -> str:
-    """Return the mode of an arm as franky's `RobotState` has it, such as `Idle`."""
+    """Return the mode in franky's `RobotState`, such as `Idle`."""
     return str(state.robot_mode).rpartition(".")[2]
 
 
@@ -72,33 +72,33 @@ def names_of(errors: Any) -> list[str]:
 
 
 def advice_for(address: str) -> str:
-    """Return what to look at when a control box does not answer."""
+    """Return advice for a control box that does not answer."""
     return (
-        f"Look at the address ({address}), the cable to the control box and its lamp, whether FCI is active in Desk "
-        f"(https://{address}/desk), and whether another program is connected"
+        f"Check the address ({address}), the cable to the control box and its lamp, that FCI is active in Desk "
+        f"(https://{address}/desk), and that no other program is connected"
     )
 
 
 def connected(make: Callable[[], T], address: str, what: str) -> T:
-    """Connect to a controller, and give up after `CONNECTING`.
+    """Connect to a controller within `CONNECTING` seconds.
 
-    The library has no deadline of its own: against a peer that says nothing, it never returns.
+    The library has no timeout: it never returns if the peer does not answer.
 
     Args:
-        make: Connects.
-        address: Of the control box.
-        what: What is connected to, as in "the arm".
+        make: Opens and returns the connection.
+        address: Address of the control box.
+        what: Name of the device for messages, such as "the arm".
 
     Raises:
-        DeviceFault: Nobody answered, or it was refused; the message says what to look at.
+        DeviceFault: The connection was refused or timed out; the message says what to check.
     """
     try:
         return within(CONNECTING, make)
     except TimeoutError as err:
         raise DeviceFault(
-            f"{what} at {address} is connected and has not said a word for {CONNECTING:g} s. {advice_for(address)}"
+            f"{what} at {address} has not answered within {CONNECTING:g} s. {advice_for(address)}"
         ) from err
-    except Exception as err:  # the library's own, which have no common class
+    except Exception as err:  # the library's exceptions have no common base class
         text = str(err).strip()
         if "ncompatible" in f"{type(err).__name__} {text}":
             hint = (
@@ -107,15 +107,15 @@ def connected(make: Callable[[], T], address: str, what: str) -> T:
             )
         else:
             hint = advice_for(address)
-        raise DeviceFault(f"{what} at {address} cannot be connected to: {text} {hint}") from err
+        raise DeviceFault(f"Cannot connect to {what} at {address}: {text} {hint}") from err
 
 
 def within(seconds: float, call: Callable[[], T]) -> T:
-    """Return what a call returns, on a thread of its own.
+    """Run a call on a thread of its own and return its result.
 
     Raises:
-        TimeoutError: It has not returned in time; the thread stays with it.
-        Exception: Whatever the call raises.
+        TimeoutError: The call has not returned in time; its thread keeps running.
+        Exception: Any exception of the call.
     """
     done = threading.Event()
     found: list[T] = []
@@ -124,7 +124,7 @@ def within(seconds: float, call: Callable[[], T]) -> T:
     def run() -> None:
         try:
             found.append(call())
-        except BaseException as err:  # noqa: BLE001 - handed over to who waits
+        except BaseException as err:  # noqa: BLE001 - raised again in the waiting thread
             raised.append(err)
         finally:
             done.set()

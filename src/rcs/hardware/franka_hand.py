@@ -1,6 +1,6 @@
 """The Franka Hand, through `franky-control`.
 
-Its calls return when the fingers stand still, and its state comes 30 times a second at best: two threads wait for them.
+Its calls return once the fingers stand still, and it sends at most 30 states a second, so each has a thread of its own.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from rcs.hardware.franka_faults import advice_for, connected
 from rcs.robots.description import GripperDescription
 
 SAME: Final = 1e-3
-"""Widths that differ by less are the same [m]: the hand is not stopped for them."""
+"""Widths that differ by less count as equal and do not interrupt a motion [m]."""
 SILENCE: Final = 0.3
-"""Age of a state from which the hand counts as silent [s]."""
+"""Age of the last state from which the hand counts as silent [s]."""
 
 
 class FrankaHand(Gripper):
-    """A hand. It grasps wherever its fingers meet something, with the force of the command."""
+    """A Franka Hand. Closing fingers grasp whatever they meet, with the force of the command."""
 
     def __init__(self, address: str, about: GripperDescription) -> None:
-        """Describe the hand; nothing is connected.
+        """Create the hand; `open` connects.
 
         Args:
             address: Address of the control box.
-            about: The hand's figures.
+            about: Description of the hand.
         """
         super().__init__(f"{about.name} at {address}", about.max_width, about.max_force)
         self._address, self._about = address, about
@@ -39,22 +39,22 @@ class FrankaHand(Gripper):
         self._measured_at = 0.0
         self._news = threading.Condition()
         self._wanted: tuple[float, float] | None = None  # width [m], force [N]
-        self._given: tuple[float, float] | None = None  # what the hand is doing, or has done
+        self._given: tuple[float, float] | None = None  # the command in progress, or the last one
         self._is_busy = self._is_ended = False
         self._problem = ""
         self._threads: list[threading.Thread] = []
 
     def home(self) -> None:
-        """Open and close the fingers fully, with which the hand learns its range; needed once after power-on.
+        """Open and close the fingers fully, so that the hand learns its range; needed once after power-on.
 
         Raises:
-            WrongOrder: The hand is not open.
-            DeviceFault: It failed.
+            WrongOrder: The hand is not connected.
+            DeviceFault: The hand has failed to home.
         """
         self.state()
         try:
             self._hand.homing()
-        except Exception as err:  # the library's own, which have no common class
+        except Exception as err:  # the library's exceptions have no common base class
             self.set_fault(f"homing failed: {err}")
             raise DeviceFault(f"{self.name}: {self.fault}") from err
 
@@ -92,9 +92,7 @@ class FrankaHand(Gripper):
     def _command_opening(self, opening: float, force: float | None) -> None:
         self._state()
         if self._state_now.max_width < SAME:
-            raise WrongOrder(
-                f"{self.name}: the hand does not know its range since it was switched on; call home() first"
-            )
+            raise WrongOrder(f"{self.name}: the hand has not been homed since it was switched on; call home() first")
         wanted = (opening * self.max_width, self._about.grasp_force if force is None else force)
         with self._news:
             if _is_same(wanted, self._wanted or self._given or (self._state_now.width, wanted[1])):
@@ -136,7 +134,7 @@ class FrankaHand(Gripper):
         while not self._is_ended:
             try:
                 state = hand.state
-            except Exception as err:  # noqa: BLE001 - the library's own have no common class
+            except Exception as err:  # noqa: BLE001 - the library's exceptions have no common base class
                 self._problem = self._problem or f"the connection to the hand is lost: {err}"
                 return
             self._state_now, self._measured_at = state, time.monotonic()
@@ -154,14 +152,14 @@ class FrankaHand(Gripper):
                 width, force = self._given
             try:
                 self._move(hand, width, force)
-            except Exception as err:  # noqa: BLE001 - the library's own have no common class
+            except Exception as err:  # noqa: BLE001 - the library's exceptions have no common base class
                 if "aborted" not in str(err):  # by a newer command, or by a hold
-                    self._problem = f"the hand has not obeyed: {err}"
+                    self._problem = f"the hand has failed to execute a command: {err}"
 
     def _move(self, hand: Any, width: float, force: float) -> None:
         speed, is_closing = 2.0 * self._about.closing_speed, width < self._state_now.width
-        # A grasp goes on until the fingers meet something, whatever its width; a move ends on what is in its way, and
-        # presses no more.
+        # A grasp continues until the fingers meet something, whatever the width; a move ends at an obstacle without
+        # pressing on it.
         if width > SAME and (hand.move(width, speed) or not is_closing):
             return
         hand.grasp(width, speed, force, epsilon_inner=self.max_width, epsilon_outer=self.max_width)

@@ -1,4 +1,4 @@
-"""How fast the joints of an FR3 may go: the slower, the nearer they are to the end of their range."""
+"""Velocity limits of the FR3's joints, which decrease towards the ends of their ranges."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ DECELERATION_LIMIT: Final = np.array([6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0])
 VELOCITY_OFFSET: Final = np.array([0.3, 0.2, 0.2, 0.3, 0.35, 0.35, 0.35])
 
 STEADY_VELOCITY: Final = np.array([2.0, 1.5, 1.5, 1.15, 3.0, 1.5, 3.0])
-"""Speeds that leave much of each range [rad/s]; ours. The vendor's constant limits are of this kind, too."""
+"""Speeds that are admissible in most of each range [rad/s]; our choice, like the vendor's constant limits."""
 OVERSHOOT: Final = 1.05
-"""By which factor a measured speed may exceed the one that the arm is led with; ours."""
+"""Largest ratio of measured to commanded speed; our choice."""
 
 Vector = NDArray[np.float64]
 
 
 def velocity_bounds(about: ArmDescription, joints: Vector) -> tuple[Vector, Vector]:
-    """Return the least and the greatest velocities that an FR3 admits [rad/s], (7,) each.
+    """Return the smallest and the largest velocities that an FR3 admits [rad/s], shape (7,) each.
 
     Formula: libfranka (Apache-2.0), joint_velocity_limits.h.
 
     Args:
-        about: The arm's figures.
-        joints: Where the joints are [rad], (7,).
+        about: Description of the arm.
+        joints: Joint positions [rad], shape (7,).
     """
     fastest = np.array(about.velocity_limit)
 
@@ -40,18 +40,20 @@ def velocity_bounds(about: ArmDescription, joints: Vector) -> tuple[Vector, Vect
 
 
 def limits_of_fr3(about: ArmDescription, *, speed: float = 1.0, whole_range: bool = False) -> ArmLimits:
-    """Return limits of an FR3.
+    """Return the limits for controlling an FR3.
 
     Args:
-        about: Its figures.
-        speed: Share of the speeds to use.
-        whole_range: Take all of its ranges and speeds. Without it the ranges and speeds are such that a joint that is
-            led at full speed, and braked to stand at the end of the range, is never too fast for its place.
+        about: Description of the arm.
+        speed: Fraction of the speed limits to use.
+        whole_range: Use the full ranges and speeds. By default they are reduced such that a joint that moves at full
+            speed and brakes to stop at the end of its range never exceeds the robot's limit at its position.
     """
     lower, upper, fastest = np.array(about.joint_lower), np.array(about.joint_upper), np.array(about.velocity_limit)
     fastest = speed * (fastest if whole_range else np.minimum(fastest, STEADY_VELOCITY))
     if not whole_range:
-        speeds = np.linspace(0.0, fastest, 200)  # at each, this far from the joint's end, less what it takes to brake
+        speeds = np.linspace(
+            0.0, fastest, 200
+        )  # distance from the joint's end needed at each, less the braking distance
         needed = (OVERSHOOT * speeds + VELOCITY_OFFSET) ** 2 / (2.0 * DECELERATION_LIMIT)
         margin = (needed - speeds**2 / (2.0 * np.array(about.acceleration_limit))).max(axis=0)
         lower, upper = lower + margin, upper - margin

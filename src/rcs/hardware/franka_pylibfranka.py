@@ -1,8 +1,8 @@
-"""The Franka Research 3 through `pylibfranka`, the vendor's own Python library, by torques a thousand times a second.
+"""The Franka Research 3 through `pylibfranka`, the vendor's own Python library, by torques at 1 kHz.
 
-The library reads and writes a packet at a time, and keeps the interpreter while it waits for one: up to a millisecond,
-and a second where the controller is silent. So the arm lives in a host, a process of its own (`FrankaDriver`), and its
-thread is paced by the robot. Here a late torque is a missing packet.
+The library reads and writes single packets and holds the GIL while it waits: up to a millisecond, and up to a second if
+the controller is silent. Therefore the arm runs in a host, a separate process (`FrankaDriver`), and the robot paces its
+thread. Unlike with franky, a late torque is a missing packet.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ from rcs.robots.description import ArmDescription
 from rcs.robots.franka_hand.description import FRANKA_HAND
 
 RATE: Final = 1000.0
-"""Packets per second [Hz]; the robot's."""
+"""Rate of the robot's packets [Hz]."""
 SWITCHING: Final = 1e-4
-"""Time after which other threads of Python get their turn [s], at the next packet. With Python's own 5 ms, each of them
-waits for five packets whenever it has let the interpreter go."""
+"""Python's thread switch interval in the host [s]. With the default of 5 ms, every other thread waits for five packets
+each time it needs the GIL."""
 
 
 class PylibfrankaArm(StreamedArm):
-    """An FR3 whose joints are led by torques, as springs and dampers pull them towards where they are led."""
+    """An FR3 under joint impedance control: torques pull the joints towards the reference like springs and dampers."""
 
     def __init__(self, address: str, about: ArmDescription, options: FrankaOptions) -> None:
-        """Describe the arm; nothing is connected.
+        """Create the arm; `open` connects.
 
         Args:
             address: Address of the control box.
-            about: The arm's figures.
-            options: What else is to be said.
+            about: Description of the arm.
+            options: The site's options.
 
         Raises:
-            InvalidSetup: The description has not the FR3's seven joints.
+            InvalidSetup: The description does not have the FR3's seven joints.
         """
         if about.dof != 7:
-            raise InvalidSetup(f"The driver franka leads arms of seven joints; {about.name!r} has {about.dof}.")
+            raise InvalidSetup(f"The driver franka controls arms with seven joints; {about.name!r} has {about.dof}.")
         super().__init__(
             f"{about.name} at {address}",
             limits_of_fr3(about, speed=options.speed, whole_range=options.whole_range),
@@ -66,8 +66,8 @@ class PylibfrankaArm(StreamedArm):
         self._library: Any = None
         self._robot: Any = None
         self._model: Any = None
-        self._control: Any = None  # while torques are sent
-        self._state: Any = None  # the newest one
+        self._control: Any = None  # set while torques are sent
+        self._state: Any = None  # the newest state
         self._led: NDArray[np.float64] | None = None
         self._is_led = self._is_given_way = self._has_link = False
         self._problem = ""
@@ -97,7 +97,9 @@ class PylibfrankaArm(StreamedArm):
             device_time=state.time.to_sec(),
             commanded_joints=list(state.q if self._led is None else self._led),
             efforts=list(state.tau_J),
-            wrench=[-one for one in state.O_F_ext_hat_K],  # the controller tells what the arm does to others
+            wrench=[
+                -one for one in state.O_F_ext_hat_K
+            ],  # the controller reports the force of the arm on its environment
             mode=mode_of(state),
         )
 
@@ -109,7 +111,7 @@ class PylibfrankaArm(StreamedArm):
                     self._state, _ = self._control.readOnce()
                     return self._state
                 except self._library.ControlException as err:
-                    self._problem, self._control = str(err), None  # the motion is over; the robot goes on telling
+                    self._problem, self._control = str(err), None  # the motion is over; the robot keeps sending states
             self._state = self._robot.read_once()
         except RuntimeError as err:
             self._has_link, self._control = False, None
@@ -134,7 +136,7 @@ class PylibfrankaArm(StreamedArm):
         self._send(pull + mass @ np.array(point.acceleration))
 
     def _send(self, torques: NDArray[np.float64]) -> None:
-        """Send torques [N·m], (7,), besides those that hold the arm against its weight."""
+        """Send torques [N·m], shape (7,), without those for gravity, which the controller adds."""
         last = np.array(self._state.tau_J_d)
         torques = torques + self._model.coriolis(self._state)
         bounded = np.clip(torques, last - TORQUE_STEP, last + TORQUE_STEP)
@@ -142,7 +144,7 @@ class PylibfrankaArm(StreamedArm):
 
     def _stop(self) -> None:
         self._is_led = self._is_given_way = False
-        self._led = self._control = None  # which ends the motion
+        self._led = self._control = None  # ends the motion
 
     def _can_guide(self) -> bool:
         return True
@@ -154,7 +156,7 @@ class PylibfrankaArm(StreamedArm):
 
     def _clear(self) -> None:
         self._stop()
-        if not self._has_link:  # the library does not connect anew
+        if not self._has_link:  # the library cannot reconnect
             self._close()
             self._open()
         if reason := fault_of(self._next_state(), self._about.joints, is_recoverable=False):

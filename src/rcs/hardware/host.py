@@ -1,7 +1,7 @@
-"""The process in which a driver runs: it serves the devices at one address to one program at a time.
+"""The host: a process that runs a driver and serves the devices at one address to one program at a time.
 
-A program or `rcs host` starts it as `python -m rcs.hardware.host DRIVER ADDRESS [--stay]`. It ends with whoever started
-it, on SIGTERM, and, unless it stays, when no program uses it any more. Its devices hold first, whatever ends it.
+A program or `rcs host` starts it as `python -m rcs.hardware.host DRIVER ADDRESS [--stay]`. It ends together with the
+process that started it, on SIGTERM, and, without `--stay`, when no program uses it. Before it ends, its devices hold.
 """
 
 from __future__ import annotations
@@ -31,30 +31,30 @@ from rcs.hardware.hosted import GREETING, IN_USE, STOP, STOPPED, Place, Wanted, 
 from rcs.spatial import Pose
 
 FAILED_REST = 0.05
-"""How long the host waits after a measurement that failed [s]."""
+"""Pause after a failed measurement [s]."""
 LETTING_GO = 0.5
-"""How long a program waits for one that just lets go of a device [s]."""
+"""Time a program waits for another one that is closing the device [s]."""
 
 
 class Host:
-    """Serves the devices of one address, a thread for each."""
+    """Serves the devices at one address, with a thread for each."""
 
     def __init__(self, place: Place, *, stays: bool) -> None:
-        """Serve a place; `stays` when it goes on without a program."""
+        """Serve a place; with `stays`, keep running when no program uses it."""
         self.place = place
         self._stays = stays
         self._driver: Driver | None = None
         self._lock = threading.Condition()
-        self._users: dict[str, int] = {}  # the program of each kind of device
+        self._users: dict[str, int] = {}  # process of the program that uses each kind of device
         self._answering = 0
-        self._opening = 0.0  # how long the opening of a device may take now [s]
+        self._opening = 0.0  # time limit of the device that is being opened [s]
         self._desks: list[HostDesk] = []
         self._threads: list[threading.Thread] = []
-        self._ends = os.eventfd(0)  # whoever has ended an answer says so
+        self._ends = os.eventfd(0)  # signalled by each thread that has finished answering
         self._is_ending = False
 
     def run(self, listener: socket.socket) -> None:
-        """Answer programs until the end."""
+        """Serve programs until the host ends."""
         starter = os.pidfd_open(os.getppid())
         try:
             while True:
@@ -89,7 +89,7 @@ class Host:
                 os.eventfd_write(self._ends, 1)
 
     def _converse(self, connection: socket.socket) -> None:
-        """Do what the other side asks for."""
+        """Execute the request of the other side."""
         with connection:
             process = peer(connection)
             try:
@@ -131,10 +131,10 @@ class Host:
 
     @contextmanager
     def _claim(self, kind: str, process: int) -> Generator[None]:
-        """Let a program have a device, and no other.
+        """Reserve a device for one program.
 
         Raises:
-            DeviceFault: One has it.
+            DeviceFault: Another program uses it.
         """
 
         def others() -> list[int]:
@@ -154,7 +154,7 @@ class Host:
 
     @contextmanager
     def _others_wait(self, times: HostTimes) -> Generator[None]:
-        """Let the other devices be late while one is opened, which may keep the interpreter."""
+        """Suspend the time limits of the other devices while one is opened, which may hold the GIL."""
         self._opening = times.open
         for desk in list(self._desks):
             desk.promise("opening of another device", times.open)
@@ -178,7 +178,7 @@ class Host:
         return getattr(driver, wanted.kind)(self.place.address, wanted.about, wanted.options), driver.host_times
 
     def _work(self, device: Arm | Gripper | Hand, desk: HostDesk, times: HostTimes) -> None:
-        """Measure, and do what the program asks for, until it closes the device or ends."""
+        """Measure and execute the program's requests until it closes the device or ends."""
         while desk.is_used and not self._is_ending:
             answer = max(times.answer, self._opening)
             rest = times.period if _measure(device, desk, answer) else FAILED_REST
@@ -196,12 +196,12 @@ class Host:
 
 
 def _measure(device: Arm | Gripper | Hand, desk: HostDesk, seconds: float) -> bool:
-    """Measure and hand it out; return whether that succeeded."""
+    """Publish a measurement; return True on success."""
     desk.promise("state", seconds)
     try:
         desk.show(device.state())
         return True
-    except Exception as err:  # noqa: BLE001  whatever a driver raises is its device's fault
+    except Exception as err:  # noqa: BLE001  any exception of a driver is a fault of its device
         if not device.fault:
             device.set_fault(in_words(err))
         desk.show_failure(device.fault)
@@ -209,19 +209,19 @@ def _measure(device: Arm | Gripper | Hand, desk: HostDesk, seconds: float) -> bo
 
 
 def _answer(device: Arm | Gripper | Hand, desk: HostDesk, request: HostRequest, seconds: float) -> None:
-    """Do what is asked for, and tell how it ended."""
+    """Execute a request and report its outcome."""
     try:
         flag = bool(_do(device, request))
     except InvalidAction as err:
         desk.answer(request, HostOutcome.invalid, str(err))
     except WrongOrder as err:
         desk.answer(request, HostOutcome.wrong_order, str(err))
-    except Exception as err:  # noqa: BLE001  whatever a driver raises is its device's fault
+    except Exception as err:  # noqa: BLE001  any exception of a driver is a fault of its device
         if not device.fault and not isinstance(err, DeviceFault):
             device.set_fault(in_words(err))
         desk.answer(request, HostOutcome.fault, device.fault or str(err))
     else:
-        if flag or request.call is HostCall.recover:  # what is measured next must not be from before
+        if flag or request.call is HostCall.recover:  # the next measurement must not be older
             _measure(device, desk, seconds)
         desk.answer(request, HostOutcome.done, flag=flag)
 
@@ -233,11 +233,11 @@ def _do(device: Any, request: HostRequest) -> bool | None:
         return device.recover()
     if request.call is HostCall.close:
         return device.close()
-    if request.is_void:  # it was held since
+    if request.is_void:  # the device has been held since
         return None
     if request.call is HostCall.guide:
         return device.guide(True)
-    if request.valid_for <= 0:  # too late: it ends the command before as it would have done in time
+    if request.valid_for <= 0:  # too late: end the previous command, as this one would have
         return device.hold()
     if request.period and isinstance(device, StreamedArm) and device.period != request.period:
         device.period = request.period
@@ -258,7 +258,7 @@ _COMMANDS: dict[HostCall, Callable[[Any, HostRequest], None]] = {
 
 
 def in_words(err: Exception) -> str:
-    """Return what an exception of a driver says, with its class unless it is one of ours."""
+    """Return the message of a driver's exception, preceded by its class unless RCS defines it."""
     return str(err) if isinstance(err, RcsError) else f"{type(err).__name__}: {err}"
 
 
@@ -275,19 +275,19 @@ def _end(*_: object) -> NoReturn:
 
 
 def main() -> None:
-    """Serve until the end."""
+    """Run the host until it ends."""
     words = [word for word in sys.argv[1:] if word != "--stay"]
     place = Place(driver=words[0], address=words[1], library=words[2])
     faulthandler.enable()
     signal.signal(signal.SIGTERM, _end)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program, which ends this one
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program, which ends this process
     path = place.socket
     lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         sys.exit(IN_USE)
-    path.unlink(missing_ok=True)  # left behind by one that was killed
+    path.unlink(missing_ok=True)  # a host that was killed leaves its socket behind
     listener = socket.socket(socket.AF_UNIX)
     old = os.umask(0o177)
     listener.bind(str(path))
@@ -302,7 +302,7 @@ def main() -> None:
     except SystemExit:
         pass
     path.unlink(missing_ok=True)
-    os._exit(code)  # a thread of a driver that does not end must not keep the process
+    os._exit(code)  # a driver's thread that does not end must not keep the process alive
 
 
 if __name__ == "__main__":

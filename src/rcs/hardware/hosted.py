@@ -1,7 +1,7 @@
-"""Devices whose driver runs in a process of its own, the host: how a program starts, finds and stops hosts.
+"""Devices whose driver runs in a separate process, the host; starting, finding and stopping hosts.
 
-A host serves the devices at one address. It listens on a Unix socket in a folder that only its user can enter; what
-moves a device then goes through memory that program and host share (`core/src/hosted.cpp`).
+A host serves the devices at one address. It listens on a Unix socket in a folder that only its user can enter; commands
+and measurements then go through memory that the program and the host share (`core/src/hosted.cpp`).
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.driver import Driver, HostTimes
 
 START = 10.0
-"""Longest time in which a host starts [s]: it imports this package and NumPy, 0.3 s on an idle machine."""
+"""Timeout for the start of a host [s]; importing this package and NumPy takes 0.3 s on an idle machine."""
 GREETING, DEVICE, STOP, STOPPED = b"here", b"open", b"stop", b"held"
-"""What is said over the socket, before the records; all of one length."""
+"""Messages on the socket that precede the records; all have the same length."""
 FOLDER = "RCS_HOSTS"
-"""The environment variable that names another folder for the sockets of hosts."""
+"""Environment variable that overrides the folder of the hosts' sockets."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,13 +44,13 @@ class Place:
     driver: str
     """Name of the driver, as in a site."""
     address: str
-    """As the driver takes it."""
+    """Address in the form that the driver takes."""
     library: str = ""
-    """As `Driver.library` has it."""
+    """Value of `Driver.library`."""
 
     @property
     def socket(self) -> Path:
-        """Where the host listens."""
+        """Path of the host's socket."""
         text = f"{self.driver}:{self.address}" + (f":{self.library}" if self.library else "")
         readable = re.sub(r"[^\w.-]", "_", text)[:24]
         return folder() / f"{readable}-{hashlib.sha256(text.encode()).hexdigest()[:8]}.sock"
@@ -61,23 +61,23 @@ class Place:
 
 @dataclass(frozen=True, kw_only=True)
 class Wanted:
-    """What a program asks a host to open."""
+    """A program's request to open a device in a host."""
 
     place: Place
     kind: str
     """`arm`, `gripper` or `hand`."""
     about: Any
-    """Its description."""
+    """Description of the device."""
     options: Mapping[str, Any]
     path: tuple[str, ...]
-    """Where the program finds modules."""
+    """Module search path of the program."""
 
 
 def folder() -> Path:
     """Return the folder of the sockets, which only this user can enter.
 
     Raises:
-        InvalidSetup: Somebody else has made it.
+        InvalidSetup: Another user owns it or may enter it.
     """
     user = Path(f"/run/user/{os.getuid()}")
     path = Path(
@@ -87,12 +87,14 @@ def folder() -> Path:
     path.mkdir(mode=0o700, exist_ok=True)
     about = path.lstat()
     if about.st_uid != os.getuid() or about.st_mode & 0o077:
-        raise InvalidSetup(f"{path} is not this user's alone; remove it, or name another folder in {FOLDER}.")
+        raise InvalidSetup(
+            f"{path} belongs to, or is open to, another user; remove it, or name another folder in {FOLDER}."
+        )
     return path
 
 
 def is_hosted(driver: Driver, options: Mapping[str, Any]) -> bool:
-    """Return whether devices of a driver run in a host: as the option `host` says, else as the driver does.
+    """Return True if devices of a driver run in a host, by the option `host` or else the driver's default.
 
     Raises:
         InvalidSetup: The option is neither true nor false.
@@ -106,14 +108,14 @@ def is_hosted(driver: Driver, options: Mapping[str, Any]) -> bool:
 def hosted(
     device: Arm | Gripper | Hand, place: Place, about: Any, options: Mapping[str, Any], times: HostTimes
 ) -> HostedArm | HostedGripper | HostedHand:
-    """Return a device like one of a driver, but in a host, which is started or found when the device is opened.
+    """Return a device that runs in a host; opening it finds or starts the host.
 
     Args:
-        device: What the driver makes in this process; it is never opened.
+        device: The driver's device in this process, which serves as the model and is never opened.
         place: Driver and address.
-        about: The device's description.
-        options: Those of the driver.
-        times: How long calls may take.
+        about: Description of the device.
+        options: The driver's options.
+        times: Time limits of calls.
     """
     kind = "arm" if isinstance(device, Arm) else "gripper" if isinstance(device, Gripper) else "hand"
     wanted = Wanted(place=place, kind=kind, about=about, options=dict(options), path=tuple(sys.path))
@@ -126,16 +128,16 @@ def hosted(
 
 
 def start(place: Place, *, stays: bool = False) -> subprocess.Popen[bytes]:
-    """Start a host: in a session of its own, so that Ctrl-C in the program's terminal does not reach it.
+    """Start a host in a session of its own, so that Ctrl-C in the program's terminal does not reach it.
 
     Args:
         place: Driver and address.
-        stays: It goes on when no program uses it any more, until this process ends.
+        stays: Keep it running while no program uses it, until this process ends.
     """
     _started[:] = [process for process in _started if process.poll() is None]
     words = [sys.executable, "-P", "-m", "rcs.hardware.host", place.driver, place.address, place.library]
     words += ["--stay"] * stays
-    # What a vendor's library prints is no output of the program.
+    # Output of a vendor's library must not mix with the program's standard output.
     process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=2, start_new_session=True)
     _started.append(process)
     return process
@@ -143,10 +145,10 @@ def start(place: Place, *, stays: bool = False) -> subprocess.Popen[bytes]:
 
 @contextmanager
 def start_all(places: Iterable[Place]) -> Generator[dict[Place, subprocess.Popen[bytes]]]:
-    """Start hosts that stay, give their processes when all of them listen, and end them.
+    """Start hosts that stay, yield their processes once all of them listen, and end them on exit.
 
     Raises:
-        DeviceFault: One does not start, as where there is one already.
+        DeviceFault: A host does not start, or one already serves its address.
     """
     hosts: dict[Place, subprocess.Popen[bytes]] = {}
     try:
@@ -156,9 +158,9 @@ def start_all(places: Iterable[Place]) -> Generator[dict[Place, subprocess.Popen
         for place, process in hosts.items():
             while (connection := call(place.socket)) is None or peer(connection) != process.pid:
                 if process.poll() == IN_USE:
-                    raise DeviceFault(f"{place} has a host already, as of another `rcs host` or of a program.")
+                    raise DeviceFault(f"{place} already has a host, started by another `rcs host` or by a program.")
                 if process.returncode is not None or time.monotonic() > limit:
-                    raise DeviceFault(f"The host of {place} did not start; what it printed says why.")
+                    raise DeviceFault(f"The host of {place} did not start; see its output above.")
                 time.sleep(0.005)
             connection.close()
         yield hosts
@@ -173,25 +175,25 @@ def start_all(places: Iterable[Place]) -> Generator[dict[Place, subprocess.Popen
 
 
 _started: list[subprocess.Popen[bytes]] = []
-"""Hosts that this process has started; a later start takes leave of those that have ended."""
+"""Hosts that this process has started; starting another one reaps those that have ended."""
 
 
 def call(path: Path) -> socket.socket | None:
-    """Return a connection to the host at a socket, or None when there is none, or none any more.
+    """Return a connection to the host at a socket; None if no host runs there.
 
     Raises:
-        DeviceFault: There is one, and it does not answer.
+        DeviceFault: The host does not answer.
     """
     connection = socket.socket(socket.AF_UNIX)
-    connection.settimeout(HostTimes.close + 0.5)  # it may be letting go of its device, and end after that
+    connection.settimeout(HostTimes.close + 0.5)  # it may be closing its device before it ends
     try:
         connection.connect(str(path))
         if connection.recv(len(GREETING)) == GREETING:
             return connection
     except TimeoutError as err:
         raise DeviceFault(
-            f"The host at {path} (process {peer(connection)}) does not answer; `rcs stop` ends it, and its device "
-            "must be looked at."
+            f"The host at {path} (process {peer(connection)}) does not answer; end it by `rcs stop` and check its "
+            "device."
         ) from err
     except OSError:
         pass
@@ -200,7 +202,7 @@ def call(path: Path) -> socket.socket | None:
 
 
 def peer(connection: socket.socket) -> int:
-    """Return the number of the process on the other side of a Unix socket, as the kernel knows it; 0 if unknown."""
+    """Return the process ID, from the kernel, of the peer of a Unix socket; 0 if unknown."""
     with suppress(OSError):
         size = struct.calcsize("3i")
         return int(struct.unpack("3i", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))[0])
@@ -208,7 +210,7 @@ def peer(connection: socket.socket) -> int:
 
 
 def stop_hosts() -> dict[str, str]:
-    """Have the devices of all hosts of this user hold and be at fault; return what came of it, by the name of the host.
+    """Hold the devices of all hosts of this user and put them at fault; return the outcome by host name.
 
     A host that does not answer within a second is killed.
     """
@@ -223,7 +225,7 @@ def _stop(path: Path) -> str:
         try:
             connection.connect(str(path))
         except OSError:
-            return ""  # one that was killed has left its socket behind
+            return ""  # a host that was killed leaves its socket behind
         process = peer(connection)
         with suppress(OSError):
             connection.sendall(STOP)
@@ -232,7 +234,7 @@ def _stop(path: Path) -> str:
                     return f"holds (process {process})"
         with suppress(ProcessLookupError):
             os.kill(process, signal.SIGKILL)
-        return f"did not answer and was killed (process {process}); look at its device"
+        return f"did not answer and was killed (process {process}); check its device"
 
 
 def _connector(wanted: Wanted, name: str, times: HostTimes) -> Callable[[], tuple[int, int, int]]:
@@ -256,10 +258,10 @@ def _connector(wanted: Wanted, name: str, times: HostTimes) -> Callable[[], tupl
 
 
 def _reach(place: Place) -> socket.socket:
-    """Return a connection to the host of a place, which is started if there is none.
+    """Return a connection to the host of a place, starting it if necessary.
 
     Raises:
-        DeviceFault: It does not start.
+        DeviceFault: The host does not start.
     """
     path, process = place.socket, None
     limit = time.monotonic() + START
@@ -267,7 +269,7 @@ def _reach(place: Place) -> socket.socket:
         if process is None or process.poll() is not None:
             if process is not None and process.returncode not in (0, IN_USE):
                 raise DeviceFault(
-                    f"The host of {place} did not start (exit code {process.returncode}); what it printed says why."
+                    f"The host of {place} did not start (exit code {process.returncode}); see its output above."
                 )
             process = start(place)
         if time.monotonic() > limit:
@@ -278,11 +280,11 @@ def _reach(place: Place) -> socket.socket:
 
 
 IN_USE = 3
-"""Exit code of a host that found another one at its address."""
+"""Exit code of a host that finds another one at its address."""
 
 
 def _ask(connection: socket.socket, process: int, wanted: Wanted, name: str, times: HostTimes) -> None:
-    """Have the device opened in the host; raise what its driver raises there."""
+    """Open the device in the host; raise the driver's exception from there."""
     records = Connection(os.dup(connection.fileno()))
     try:
         records.send(wanted)
@@ -290,11 +292,11 @@ def _ask(connection: socket.socket, process: int, wanted: Wanted, name: str, tim
             os.kill(process, signal.SIGKILL)
             raise DeviceFault(
                 f"{name}: opening {wanted.place} did not end within {times.open:g} s, and its host (process {process}) "
-                "was killed. Look at the address, the cable, and whether the device is switched on."
+                "was killed. Check the address, the cable, and that the device is switched on."
             )
         answer = records.recv()
     except (EOFError, OSError) as err:
-        raise DeviceFault(f"{name}: the host (process {process}) of {wanted.place} ended while it opened it.") from err
+        raise DeviceFault(f"{name}: the host (process {process}) of {wanted.place} ended while opening it.") from err
     finally:
         records.close()
     if isinstance(answer, Exception):

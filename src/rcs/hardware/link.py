@@ -14,23 +14,23 @@ Connection = TypeVar("Connection")
 
 
 class Link(Generic[Connection]):
-    """One connection, opened by the first device that needs it and closed by the last; one thread at a time uses it.
+    """A connection that the first device opens and the last one closes, used by one thread at a time.
 
     A device calls `open` in its `_open`, `close` in its `_close`, and in between:
 
         with self._link as connection:
             joints = connection.ask("joints")
 
-    A stop must not wait for a call that is under way: where the vendor's library allows it, `_hold` goes by a
-    connection of its own.
+    A stop must not wait for a call in progress: if the vendor's library allows it, let `_hold` use a connection of its
+    own.
     """
 
     def __init__(self, connect: Callable[[], Connection], disconnect: Callable[[Connection], None]) -> None:
-        """Connect nothing yet.
+        """Store the functions; nothing is connected yet.
 
         Args:
-            connect: Returns the connection, or raises what `open` then raises.
-            disconnect: Lets go of it.
+            connect: Opens and returns the connection; `open` passes on its exceptions.
+            disconnect: Closes it.
         """
         self._connect = connect
         self._disconnect = disconnect
@@ -39,14 +39,14 @@ class Link(Generic[Connection]):
         self._lock = threading.RLock()
 
     def open(self, device: Device) -> None:
-        """Connect for a device, unless another one has."""
+        """Connect for a device unless another one has already done so."""
         with self._lock:
             if not self._users:
                 self._connection = self._connect()
             self._users.add(device)
 
     def close(self, device: Device) -> None:
-        """Disconnect if no other device needs the connection. One that has not opened it changes nothing."""
+        """Disconnect if no other device needs the connection; ignore a device that has not opened it."""
         with self._lock:
             if device not in self._users:
                 return

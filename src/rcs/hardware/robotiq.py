@@ -1,7 +1,7 @@
-"""Robotiq 2F grippers: over the socket of the URCap on a UR controller, or over Modbus RTU on a serial line.
+"""Robotiq 2F grippers, over the URCap's socket on a UR controller or over Modbus RTU on a serial line.
 
-Reading takes from 2 to 20 ms, so a thread does it, and sends what is commanded; `state` gives what was read last, with
-its time.
+Reading takes 2 to 20 ms. Therefore a thread reads the gripper and sends the commands; `state` returns the last reading
+with its time.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from rcs.robots.description import GripperDescription
 PERIOD: Final = 0.02
 """Time between two readings [s]."""
 SILENCE: Final = 0.4
-"""For how long readings may fail before that is a fault [s]."""
+"""Time of failed readings after which the gripper is at fault [s]."""
 PATIENCE: Final = 0.05
-"""How long `hold` waits for a line that is busy [s]; after that, the thread sends it."""
+"""Longest wait of `hold` for a busy line [s]; after that, the thread sends the stop."""
 ACTIVATION_TIME: Final = 10.0
-"""How long an activation may take [s]; the vendor says 3 s or so."""
+"""Timeout of an activation [s]; about 3 s according to the vendor."""
 
 SLOWEST, FASTEST = 0.020, 0.150
-"""Speeds of the width [m/s] of the registers' ends; vendor's data sheet of the 2F-85."""
+"""Speeds of the width [m/s] at register values 0 and 255; vendor's data sheet of the 2F-85."""
 WEAKEST, STRONGEST = 20.0, 235.0
-"""Forces [N] of the registers' ends; likewise."""
+"""Forces [N] at register values 0 and 255; same source."""
 
 OPTIONS: Final = ("speed", "force", "open", "closed")
 
@@ -41,15 +41,15 @@ _IS_MOVING = 0
 
 FAULTS: Final = {
     0x05: "it waits for the end of its activation",
-    0x07: "it is not activated any more; its power may have failed",
+    0x07: "it is no longer activated; its power may have failed",
     0x08: "it is hotter than 85 °C; let it cool down",
-    0x09: "it has heard nothing for 1 s",
-    0x0A: "its supply is below 21.6 V; look at its power and the cable",
-    0x0B: "it releases automatically, since somebody pressed for it",
+    0x09: "it has received nothing for 1 s",
+    0x0A: "its supply is below 21.6 V; check its power supply and cable",
+    0x0B: "an automatic release is in progress",
     0x0C: "its processor has a fault; switch it off and on",
-    0x0D: "its activation failed; see whether something blocks the fingers",
-    0x0E: "its current is too high; see whether something blocks the fingers",
-    0x0F: "it has released automatically; it must be activated anew",
+    0x0D: "its activation failed; check whether something blocks the fingers",
+    0x0E: "its current is too high; check whether something blocks the fingers",
+    0x0F: "it has released automatically; activate it again",
 }
 """Codes of register FLT; vendor's instruction manual."""
 _HARMLESS = (0, 0x05, 0x09)
@@ -57,14 +57,14 @@ _HARMLESS = (0, 0x05, 0x09)
 
 @dataclass(frozen=True)
 class _Order:
-    """What the fingers shall do, in the units of the registers."""
+    """A command to the fingers, in register units."""
 
     position: int
     force: int
 
 
 class RobotiqGripper(Gripper):
-    """A 2F-85 or 2F-140. The first command activates it where it is not activated: its fingers open and close fully."""
+    """A 2F-85 or 2F-140. The first command activates it if necessary; its fingers then open and close fully."""
 
     def __init__(
         self,
@@ -73,17 +73,18 @@ class RobotiqGripper(Gripper):
         options: Mapping[str, Any],
         transport: Callable[[str], Transport] | None = None,
     ) -> None:
-        """Describe the gripper; `open` connects.
+        """Create the gripper; `open` connects.
 
         Args:
             address: IP address of the UR controller, or path of a serial line such as /dev/ttyUSB0.
-            about: Its figures.
-            options: `speed` of the width [m/s], `force` [N] of commands without one, and the positions at which the
-                fingers are `open` and `closed`, 0 to 255.
-            transport: How the address is reached; None for a serial line where it is a path, else the URCap's socket.
+            about: Description of the gripper.
+            options: `speed` of the width [m/s]; `force` [N], the default of commands; `open` and `closed`, the
+                positions of the open and the closed fingers, 0 to 255.
+            transport: Makes the transport of an address; None for a serial line if it is a path, else for the URCap's
+                socket.
 
         Raises:
-            InvalidSetup: There is no such option, or it makes no sense.
+            InvalidSetup: An option does not exist or has an invalid value.
         """
         require_fields("option of a Robotiq gripper", options, OPTIONS)
         super().__init__(f"{about.name} at {address}", about.max_width, about.max_force)
@@ -94,12 +95,12 @@ class RobotiqGripper(Gripper):
         self._closed_at = _number(options, "closed", 230, 0, 255)
         if not self._open_at < self._closed_at:
             raise InvalidSetup(
-                f"The gripper is open at {self._open_at} and closed at {self._closed_at}; valid is less."
+                f"open is {self._open_at} and closed is {self._closed_at}; open must be less than closed."
             )
         self._speed = round(255 * (speed - SLOWEST) / (FASTEST - SLOWEST))
         self._connect = transport or (ModbusLine if address.startswith("/") else UrcapSocket)
         self._transport: Transport | None = None
-        self._lock = threading.RLock()  # of the transport; what is commanded does not wait for a line that is silent
+        self._lock = threading.RLock()  # for the transport; commands do not wait for a silent line
         self._wake = threading.Event()
         self._thread: threading.Thread | None = None
         self._is_ending = self._must_stop = False
@@ -141,7 +142,7 @@ class RobotiqGripper(Gripper):
 
     def _require_fresh(self, status: RobotiqStatus) -> None:
         if (age := time.monotonic() - status.time) > 2 * SILENCE:
-            raise DeviceFault(f"nothing was heard of the gripper for {age:.1f} s; look at its cable and its power")
+            raise DeviceFault(f"the gripper has sent nothing for {age:.1f} s; check its cable and its power supply")
 
     def _command_opening(self, opening: float, force: float | None) -> None:
         wanted = self._force if force is None else force
@@ -152,9 +153,9 @@ class RobotiqGripper(Gripper):
 
     def _has_arrived(self) -> bool:
         order, sent = self._order, self._sent
-        status = self._status  # read after what was sent
+        status = self._status  # read after the last command was sent
         assert status is not None, "a call before `open` is refused by the interface"
-        if order is None:  # held, or never told anything
+        if order is None:  # held, or never commanded
             return status.time - self._moved > 2 * PERIOD
         is_told = sent == order and status.request == order.position
         return is_told and status.activation == _ACTIVE and status.object != _IS_MOVING
@@ -165,8 +166,8 @@ class RobotiqGripper(Gripper):
             return
         self._order = None
         age = time.monotonic() - status.time
-        # Others wait to be held, too: a line that is silent does not keep them. After a long time, the thread may have
-        # been kept from reading, as by a library that ends.
+        # Do not wait for a silent line: other devices must be held, too. After a longer time, the thread itself may
+        # have been blocked, for example by a library that shuts down, and the line may be fine.
         if not ANSWER_TIME < age <= 2 * SILENCE and self._lock.acquire(timeout=PATIENCE):
             try:
                 if self._transport is not None:
@@ -179,9 +180,9 @@ class RobotiqGripper(Gripper):
         self._require_fresh(status)
 
     def _stop(self, transport: Transport, status: RobotiqStatus) -> None:
-        """Have the fingers stay where they are."""
-        if self._sent is not None:  # else nothing was ever commanded
-            # An activation does not stop for less than a reset.
+        """Stop the fingers."""
+        if self._sent is not None:  # otherwise there has been no command
+            # Only a reset stops an activation.
             activate = status.activation == _ACTIVE
             transport.write(activate=activate, go=False, position=status.position, speed=0, force=0)
             self._sent = None
@@ -194,18 +195,18 @@ class RobotiqGripper(Gripper):
             self._order = None
             status = transport.read()
             if status.activation != _ACTIVE or status.fault not in _HARMLESS:
-                # Nothing moves: the next command activates it anew.
+                # Nothing moves: the next command activates the gripper again.
                 transport.write(activate=False, go=False, position=0, speed=0, force=0)
                 status = transport.read()
                 if status.fault not in (*_HARMLESS, 0x07, 0x0F):
-                    raise DeviceFault(f"the gripper keeps its fault: {FAULTS.get(status.fault, status.fault)}")
+                    raise DeviceFault(f"the fault persists: {FAULTS.get(status.fault, status.fault)}")
             self._was_active = False
             self._take(status)
 
     # --- The thread ---
 
     def _serve(self) -> None:
-        """Read the gripper and send it what is commanded, until the end."""
+        """Read the gripper and send commands until the thread ends."""
         while not self._is_ending:
             self._wake.wait(PERIOD)
             self._wake.clear()
@@ -219,7 +220,7 @@ class RobotiqGripper(Gripper):
                     self.set_fault(str(err))
 
     def _revives(self) -> bool:
-        """Read on in a fault, so that what is measured stays fresh; errors were told."""
+        """Continue reading during a fault to keep measurements fresh; its errors have been reported."""
         with contextlib.suppress(DeviceFault), self._lock:
             assert self._transport is not None
             self._take(self._transport.read())
@@ -227,7 +228,7 @@ class RobotiqGripper(Gripper):
         return False
 
     def _stop_late(self, transport: Transport) -> None:
-        """Send what `hold` has left to this thread."""
+        """Send a stop that `hold` has left to this thread."""
         if self._must_stop:
             assert self._status is not None
             self._stop(transport, self._status)
@@ -252,10 +253,10 @@ class RobotiqGripper(Gripper):
         self._judge(status)
 
     def _activate(self, transport: Transport) -> None:
-        """Begin an activation, unless one is under way; the order waits for its end."""
+        """Begin an activation unless one is in progress; the command waits for its end."""
         assert self._status is not None
         since = time.monotonic() - self._activation_began
-        if self._status.activation == 0 and since > 1.0:  # it takes a moment to say that it has begun
+        if self._status.activation == 0 and since > 1.0:  # the status changes only after a moment
             self._sent = _Order(-1, 0)  # so that `_hold` stops it
             transport.write(activate=False, go=False, position=0, speed=0, force=0)
             transport.write(activate=True, go=False, position=0, speed=0, force=0)
@@ -271,19 +272,19 @@ class RobotiqGripper(Gripper):
         self._status = status
 
     def _judge(self, status: RobotiqStatus) -> None:
-        """Enter the fault state for what the gripper reports."""
+        """Enter the fault state if the gripper reports a fault."""
         if status.fault not in (*_HARMLESS, 0x07):
             self.set_fault(f"the gripper reports {status.fault:#x}: {FAULTS.get(status.fault, 'see its manual')}")
         elif self._was_active and status.activation == 0:
             self.set_fault(
-                "the gripper has lost its activation, as when its power fails; after recover(), the next command "
+                "the gripper has lost its activation, for example by a power cut; after recover(), the next command "
                 "activates it: its fingers then open and close fully"
             )
         self._was_active = self._was_active or status.activation == _ACTIVE
 
 
 class RobotiqDriver(Driver):
-    """Reaches Robotiq grippers by the IP address of a UR controller, or by the path of a serial line."""
+    """Driver of Robotiq grippers, at the IP address of a UR controller or the path of a serial line."""
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> RobotiqGripper:
         """Return a gripper; nothing is connected."""

@@ -1,4 +1,4 @@
-"""How a Robotiq gripper is reached: over the socket of the URCap on a UR controller, or Modbus RTU on a serial line."""
+"""Transports to a Robotiq gripper: the URCap's socket on a UR controller, and Modbus RTU on a serial line."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from rcs.errors import DeviceFault
 from rcs.extras import package_of
 
 PORT: Final = 63352
-"""Of the URCap's socket."""
+"""Port of the URCap's socket."""
 MODBUS_DEVICE: Final = 9
 FIRST_OUTPUT: Final = 0x03E8
 FIRST_INPUT: Final = 0x07D0
 BAUD_RATE: Final = 115200
 CONNECT_TIME: Final = 0.4
-"""How long a connection may take [s]."""
+"""Timeout for connecting [s]."""
 ANSWER_TIME: Final = 0.1
-"""How long the URCap may take for an answer [s]; usually it takes 2 to 20 ms."""
+"""Timeout for an answer of the URCap [s]; usually it takes 2 to 20 ms."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotiqStatus:
-    """What the gripper says of itself, by the names of its manual."""
+    """Status of the gripper, with the register names of its manual."""
 
     activation: int
-    """STA: 0 reset, 1 under way, 3 activated."""
+    """STA, activation: 0 reset, 1 in progress, 3 activated."""
     goes: int
-    """GTO: whether it goes to the position that is requested."""
+    """GTO: 1 if it moves to the requested position, 0 if it is stopped."""
     object: int
-    """OBJ: 0 moving, 1 and 2 stopped by something while opening and closing, 3 there."""
+    """OBJ: 0 moving, 1 and 2 stopped by an object while opening and closing, 3 at the requested position."""
     fault: int
-    """FLT."""
+    """FLT: fault code."""
     request: int
-    """PRE: the position that is requested."""
+    """PRE: requested position."""
     position: int
-    """POS: 0 open … 255 closed."""
+    """POS: position, 0 open … 255 closed."""
     time: float
-    """When it was read, on the host's monotonic clock [s]."""
+    """Time of the reading on the host's monotonic clock [s]."""
 
 
 class Transport(Protocol):
-    """A way to reach the gripper's registers; one call at a time. Calls raise `DeviceFault`."""
+    """Access to the gripper's registers, one call at a time. Calls raise `DeviceFault`."""
 
     def read(self) -> RobotiqStatus:
         """Read all input registers."""
@@ -55,7 +55,7 @@ class Transport(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go."""
+        """Disconnect."""
         ...
 
 
@@ -68,7 +68,7 @@ class UrcapSocket:
         """Connect.
 
         Raises:
-            DeviceFault: Nobody is there; says what to look at.
+            DeviceFault: The connection fails; the message says what to check.
         """
         self._address = address
         self._socket: socket.socket | None = self._connect()
@@ -78,8 +78,8 @@ class UrcapSocket:
             peer = socket.create_connection((self._address, PORT), CONNECT_TIME)
         except OSError as err:
             raise DeviceFault(
-                f"{self._address}: no gripper on port {PORT} ({err}); is this the address of the UR controller, is the "
-                "URCap Robotiq Grippers installed, and does its page on the pendant see the gripper?"
+                f"{self._address}: no gripper on port {PORT} ({err}); check the address of the UR controller, "
+                "that the URCap Robotiq Grippers is installed, and that its page on the pendant shows the gripper"
             ) from err
         peer.settimeout(ANSWER_TIME)
         return peer
@@ -93,8 +93,8 @@ class UrcapSocket:
             activation, goes, found, fault, request, position = (values[name] for name in self._NAMES)
         except (ValueError, KeyError) as err:
             raise DeviceFault(
-                f"{self._address}: port {PORT} answers {' '.join(words)!r}; is this the URCap Robotiq Grippers, and is "
-                "the gripper connected?"
+                f"{self._address}: port {PORT} answers {' '.join(words)!r}; check that the URCap Robotiq Grippers is "
+                "installed and the gripper connected"
             ) from err
         return RobotiqStatus(
             activation=activation, goes=goes, object=found, fault=fault, request=request, position=position, time=begin
@@ -107,13 +107,13 @@ class UrcapSocket:
             raise DeviceFault(f"{self._address}: the gripper answers {' '.join(words)!r} to SET {values}")
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
     def _ask(self, request: str, count: int) -> list[str]:
-        """Send something and return the words of the answer; `ack` comes without an end of line."""
+        """Send a request and return the words of the answer; `ack` has no line end."""
         peer = self._socket = self._socket or self._connect()
         received, is_whole = b"", False
         try:
@@ -129,12 +129,12 @@ class UrcapSocket:
             raise DeviceFault(f"{self._address}: the gripper does not answer on port {PORT} ({err})") from err
         finally:
             if not is_whole:
-                self.close()  # an answer that comes late must not be taken for that to the next question
+                self.close()  # a late answer must not be taken for that to the next request
         return [word.decode("ascii", "replace") for word in received.split()]
 
 
 def status_of(registers: Sequence[int], read_at: float) -> RobotiqStatus:
-    """Return what the three input registers of Modbus say, read at a time on the monotonic clock [s]."""
+    """Return the status in the three input registers of Modbus, read at this time on the monotonic clock [s]."""
     status, fault, position = registers
     return RobotiqStatus(
         activation=status >> 12 & 3, goes=status >> 11 & 1, object=status >> 14 & 3, fault=fault >> 8 & 15,
@@ -163,8 +163,8 @@ class ModbusLine:
         self._client = modbus.ModbusSerialClient(path, baudrate=BAUD_RATE, timeout=0.1, retries=0)
         if not self._client.connect():
             raise DeviceFault(
-                f"{path}: the serial line cannot be opened; is the adapter plugged in (ls -l {path}), and may you use "
-                "it (sudo usermod -aG dialout $USER, then log in anew)?"
+                f"{path}: the serial line cannot be opened; check that the adapter is plugged in (ls -l {path}) and "
+                "that you may use it (sudo usermod -aG dialout $USER, then log in again)"
             )
 
     def read(self) -> RobotiqStatus:
@@ -182,11 +182,11 @@ class ModbusLine:
 
     def _call(self, name: str, *values: Any, **more: Any) -> Any:
         try:
-            self._client.socket.reset_input_buffer()  # an answer that came late is not that to the next question
+            self._client.socket.reset_input_buffer()  # a late answer is not that to the next request
             answer = getattr(self._client, name)(*values, device_id=MODBUS_DEVICE, **more)
         except (self._error, OSError) as err:
             raise DeviceFault(
-                f"{self._path}: no gripper answers ({err}); has it 24 V, and are the wires of RS-485 in their places?"
+                f"{self._path}: no gripper answers ({err}); check its 24 V supply and the wiring of RS-485"
             ) from err
         if answer.isError():
             raise DeviceFault(f"{self._path}: the gripper refuses: {answer}")

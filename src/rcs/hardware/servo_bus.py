@@ -1,9 +1,8 @@
-"""A bus of Feetech servos on a serial port, over the vendor's library.
+"""A bus of Feetech servos on a serial port, through the vendor's library.
 
-The library takes whatever arrives next for the answer to its request, with success: after one late packet, every
-request would get the answer of the one before. So waiting input is dropped before each request, reads that repeat ask
-for a different number of bytes each time, and an answer counts only if it has the servo and the length that were asked
-for.
+The library accepts whatever arrives next as the answer to its request: after one late packet, every request would get
+the answer to the previous one. Therefore pending input is dropped before each request, repeated reads each request a
+different number of bytes, and an answer counts only if its servo and length match the request.
 """
 
 from __future__ import annotations
@@ -22,40 +21,40 @@ from rcs.extras import package_of
 
 BAUD = 1_000_000
 TIMEOUT = 0.09
-"""How long servos may not answer before they count as lost [s]; adapters keep what they have got for up to 16 ms."""
+"""Time without an answer after which servos count as lost [s]; adapters buffer input for up to 16 ms."""
 PATIENCE = 1 / 3
-"""Part of this time after which the last servo that was asked is asked again."""
+"""Fraction of the timeout after which the last servo of a request is asked again."""
 LENGTHS = 8
-"""How many lengths reads that repeat go through, so that a late answer is known by its length."""
+"""Number of different lengths of repeated reads, which identify late answers."""
 
 _log = logging.getLogger(__name__)
 
 
 class ServoBus:
-    """Reads and writes registers of servos; for one thread at a time."""
+    """Reads and writes servo registers; use it from one thread at a time."""
 
     def __init__(self, address: str, names: Mapping[int, str], timeout: float = TIMEOUT) -> None:
-        """Describe the bus; nothing is opened.
+        """Create the bus; `open` opens the port.
 
         Args:
             address: Path of the serial port.
-            names: The servos by number, and what they are called in messages.
-            timeout: How long servos may not answer before they count as lost [s].
+            names: Names of the servos for messages, by number.
+            timeout: Time without an answer after which servos count as lost [s].
         """
         self.address = address
         self.names = names
         self.timeout = timeout
         self.is_lost = False
-        """Whether the last request was not answered at all; then the next one is not repeated."""
+        """True if no servo answered the last request; the next one is then not repeated."""
         self.failures = 0
-        """Requests that had to be repeated."""
+        """Number of repeated requests."""
         self._turn = 0
         self._port: Any = None
         self._packets: Any = None
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open."""
+        """True while the port is open."""
         return self._port is not None
 
     def open(self) -> None:
@@ -63,7 +62,7 @@ class ServoBus:
 
         Raises:
             MissingDependency: The vendor's library is not installed.
-            DeviceFault: There is no such port, it is not permitted, or another program has it.
+            DeviceFault: The port does not exist, may not be used, or is in use by another program.
         """
         sdk = package_of("so101", "scservo_sdk", "An SO101 needs")
         port = sdk.PortHandler(self.address)
@@ -75,13 +74,13 @@ class ServoBus:
         except BlockingIOError as err:
             port.closePort()
             raise DeviceFault(
-                f"The servo bus at {self.address} is in use by {_holder(self.address)}; end that first."
+                f"The servo bus at {self.address} is in use by {_holder(self.address)}; end it first."
             ) from err
-        except OSError as err:  # pyserial's is one
+        except OSError as err:  # includes pyserial's exceptions
             if getattr(err, "errno", None) == 13:
                 raise self._not_permitted(err) from err
             raise DeviceFault(
-                f"There is no servo bus at {self.address}: {err}. Look at the cable, and for the port: ls /dev/tty*"
+                f"There is no servo bus at {self.address}: {err}. Check the cable and the port: ls /dev/tty*"
             ) from err
         self._port, self._packets = port, sdk.PacketHandler(0)
 
@@ -92,15 +91,15 @@ class ServoBus:
             self._port = None
 
     def read(self, servos: Sequence[int], first: int, count: int) -> dict[int, tuple[int, bytes]]:
-        """Return errors and registers of servos.
+        """Return error bits and register values of servos.
 
         Args:
             servos: Their numbers.
             first: First register.
-            count: Number of registers; some more may be asked for.
+            count: Number of registers; the request may read a few more.
 
         Raises:
-            DeviceFault: Some servos do not answer; the message has their names.
+            DeviceFault: Some servos do not answer; the message names them.
         """
         request = _Request(self, servos)
         while request.goes_on():
@@ -116,13 +115,13 @@ class ServoBus:
         raise request.lost()
 
     def write(self, servo: int, register: int, value: int, size: int) -> None:
-        """Write a register and wait until the servo says that it has it.
+        """Write a register and wait for the servo's acknowledgement.
 
         Args:
             servo: Its number.
             register: First byte of the register.
-            value: What to write.
-            size: Number of bytes; registers follow each other.
+            value: Value to write.
+            size: Number of bytes, from the register on.
 
         Raises:
             DeviceFault: The servo does not answer.
@@ -137,22 +136,22 @@ class ServoBus:
         raise request.lost()
 
     def write_all(self, register: int, values: Mapping[int, int], size: int = 2) -> None:
-        """Write a register of several servos at once; no servo answers that.
+        """Write a register of several servos at once, without acknowledgement.
 
         Args:
             register: First byte of the register.
-            values: What to write, by servo.
+            values: Values to write, by servo.
             size: Number of bytes.
 
         Raises:
-            DeviceFault: The port is gone.
+            DeviceFault: The port has disappeared.
         """
         self._begin()
         words = [byte for servo, value in values.items() for byte in (servo, *value.to_bytes(size, "little"))]
         self._packets.syncWriteTxOnly(self._port, register, size, words, len(words))
 
     def _begin(self) -> None:
-        """Drop what an earlier request has left."""
+        """Drop input left by an earlier request."""
         if self._port is None:
             raise DeviceFault(f"The servo bus at {self.address} is closed.")
         try:
@@ -162,12 +161,12 @@ class ServoBus:
         self._port.is_using = False
 
     def _answers(self, servos: Sequence[int], length: int) -> dict[int, tuple[int, bytes]]:
-        """Return errors and values of the servos that answer with this many values in time."""
+        """Return errors and values of the servos that answer in time with this many values."""
         found: dict[int, tuple[int, bytes]] = {}
         deadline = time.monotonic() + self.timeout * PATIENCE
         expected = (length + 6) * len(servos)
         try:
-            while servos[-1] not in found:  # they answer in turn: who comes before the last one and is missing was lost
+            while servos[-1] not in found:  # they answer in order: one missing before the last is lost
                 self._wait(expected - (length + 6) * len(found), deadline)
                 self._port.setPacketTimeoutMillis(0.0)
                 packet, result = self._packets.rxPacket(self._port)
@@ -181,7 +180,7 @@ class ServoBus:
         return found
 
     def _wait(self, bytes_: int, deadline: float) -> None:
-        """Wait for some bytes without keeping the interpreter busy."""
+        """Wait for a number of bytes without holding the GIL."""
         while (rest := deadline - time.monotonic()) > 0:
             if self._port.getBytesAvailable() >= bytes_:
                 return
@@ -189,29 +188,29 @@ class ServoBus:
             time.sleep(min(2e-4, max(rest, 0.0)))
 
     def _gone(self, err: OSError) -> DeviceFault:
-        return DeviceFault(f"The servo bus at {self.address} is gone: {err}. Look at the USB cable.")
+        return DeviceFault(f"The servo bus at {self.address} has disappeared: {err}. Check the USB cable.")
 
     def _not_permitted(self, err: OSError) -> DeviceFault:
         return DeviceFault(
-            f"The servo bus at {self.address} is not permitted: {err}. Join the group of the port and log in anew: "
+            f"You may not use the servo bus at {self.address}: {err}. Join the port's group and log in again: "
             "sudo usermod -aG dialout $USER."
         )
 
 
 class _Request:
-    """One request, until it is answered or its time is over."""
+    """A request until it is answered or times out."""
 
     def __init__(self, bus: ServoBus, servos: Sequence[int]) -> None:
         self.missing = servos
         self._bus, self._asked, self._begin = bus, 0, time.monotonic()
 
     def goes_on(self) -> bool:
-        """Whether to ask, once more or for the first time."""
+        """Return True if the request should be sent, for the first time or again."""
         self._asked += 1
         if self._asked == 1:
             return True
         self._bus.failures += 1
-        _log.debug("servo bus %s: no answer of %s to request %d", self._bus.address, self.missing, self._asked - 1)
+        _log.debug("servo bus %s: no answer from %s to request %d", self._bus.address, self.missing, self._asked - 1)
         return not self._bus.is_lost and time.monotonic() - self._begin < self._bus.timeout
 
     def lost(self) -> DeviceFault:
@@ -219,16 +218,16 @@ class _Request:
         names = self._bus.names
         times = "once" if self._asked == 2 else f"{self._asked - 1} times"
         some = ", ".join(f"{names[servo]} (servo {servo})" for servo in self.missing)
-        who = "none of the servos answers" if len(self.missing) == len(names) else f"no answer of {some}"
+        who = "none of the servos answers" if len(self.missing) == len(names) else f"no answer from {some}"
         return DeviceFault(
             f"{who} on the servo bus at {self._bus.address}, asked {times} in "
-            f"{1e3 * (time.monotonic() - self._begin):.0f} ms; look at the power supply, and at the cable before the "
-            "first that is missing"
+            f"{1e3 * (time.monotonic() - self._begin):.0f} ms; check the power supply and the cable to the first "
+            "missing servo"
         )
 
 
 def _holder(address: str) -> str:
-    """Return who has locked a port, as far as the system tells."""
+    """Return the process that has locked a port, if the system reveals it."""
     wanted = str(os.stat(address).st_ino)
     for line in Path("/proc/locks").read_text().splitlines():
         words = line.split()
@@ -242,6 +241,6 @@ def _holder(address: str) -> str:
 
 
 def signed(value: int, bit: int) -> int:
-    """Return the number that a servo stores as an amount and a bit for its sign."""
+    """Return the number that a servo stores as a magnitude and a sign bit."""
     amount = value & ((1 << bit) - 1)
     return -amount if value >> bit & 1 else amount

@@ -1,6 +1,6 @@
-"""A site: which devices there are and how they are reached. A setup says what is done, a site where.
+"""Sites: the devices of a place and their addresses. A setup, in contrast, defines the experiment.
 
-A file is JSON, one entry per device by the name of its robot or camera; only those that are named are real:
+A site file is JSON, with an entry per real device under the name of its robot or camera; all others are simulated:
 
     {"arms": {"fr3": {"driver": "fake", "address": "192.0.2.1"}},
      "grippers": {"fr3": {"driver": "fake", "address": "192.0.2.1"}},
@@ -30,7 +30,7 @@ from rcs.robots.description import ArmDescription, CameraDescription, GripperDes
 from rcs.robots.tactile import TactileDescription
 
 OnStale = Literal["flag", "hold", "fault"]
-"""What a camera without new frames leads to: a flag in recordings, devices that hold, or the end of the episode."""
+"""Reaction to a camera without new frames: a flag in recordings, holding all devices, or the end of the episode."""
 
 KINDS = ("arms", "grippers", "hands", "cameras", "tactile")
 _CLASSES = {"arm": Arm, "gripper": Gripper, "hand": Hand, "camera": Camera, "tactile": Camera}
@@ -38,25 +38,25 @@ _CLASSES = {"arm": Arm, "gripper": Gripper, "hand": Hand, "camera": Camera, "tac
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceAddress:
-    """How one device is reached."""
+    """The driver, address and options of a device."""
 
     driver: str
     """Name of a driver: an entry point of `rcs.drivers`, or `module:Class`."""
     address: str = ""
-    """IP address, serial port or serial number, as the driver takes it."""
+    """IP address, serial port or serial number, in the form that the driver takes."""
     options: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """What else the driver takes, as JSON values. `host` (true or false) says whether the device runs in a process of
-    its own; without it, the driver does."""
+    """Options of the driver, as JSON values. `host` (true or false) selects whether the device runs in a separate
+    process; by default, the driver decides."""
 
     def __post_init__(self) -> None:
         """Check every field.
 
         Raises:
-            InvalidSetup: Driver or address is no text, or the options are no mapping.
+            InvalidSetup: Driver or address is not a string, or the options are not a mapping.
         """
         for name, kind in (("driver", str), ("address", str), ("options", Mapping)):
             if not isinstance(given := getattr(self, name), kind):
-                valid = "a text" if kind is str else "a mapping from names to values"
+                valid = "a string" if kind is str else "a mapping from names to values"
                 raise InvalidSetup(f"The {name} of a device is {given!r}; valid is {valid}.")
 
     @staticmethod
@@ -64,7 +64,7 @@ class DeviceAddress:
         """Return an address from `driver:address`, `module:Class:address`, or a mapping with fields of this class.
 
         Raises:
-            InvalidSetup: It is neither.
+            InvalidSetup: The value has none of these forms.
         """
         if isinstance(given, DeviceAddress):
             return given
@@ -87,66 +87,66 @@ AnyDevice = DeviceAddress | Arm | Gripper | Hand | Camera
 
 @dataclass(frozen=True, kw_only=True)
 class Devices:
-    """The devices that a site has for one setup, closed."""
+    """The devices of a site for one setup, not yet opened."""
 
     arms: Mapping[str, Arm] = field(default_factory=dict[str, Arm])
-    """By robot."""
+    """Arms by robot."""
     effectors: Mapping[str, Gripper | Hand] = field(default_factory=dict[str, Gripper | Hand])
     """Grippers and hands by robot."""
     cameras: Mapping[str, Camera] = field(default_factory=dict[str, Camera])
-    """By camera."""
+    """Cameras by name."""
     tactile: Mapping[str, Camera] = field(default_factory=dict[str, Camera])
-    """Cameras of tactile sensors, by sensor."""
+    """Cameras of tactile sensors by sensor."""
     tcp: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """The option `tcp` of arms by robot, where a site has it: the pose that it gives the controller for that of the TCP
-    in the flange, translation [m] and quaternion xyzw."""
+    """The site's option `tcp` by robot, where given: the pose of the TCP in the flange that the controller uses,
+    translation [m] and quaternion xyzw."""
     platform: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Name of the driver of every real part: a robot, `robot/end effector`, a camera or a sensor."""
+    """Driver name of every real part: a robot, `robot/end effector`, a camera or a sensor."""
     valid_for: float | None = None
-    """How long a command is valid without another [s]; None for three control periods."""
+    """Time for which a command is valid without a new one [s]; None for three control periods."""
     stale_after: float = 0.5
-    """Age of a frame, or of what a gripper or hand measures, from which it counts as stale [s]."""
+    """Age from which a frame, or a measurement of a gripper or hand, counts as stale [s]."""
     arm_stale_after: float = 0.25
-    """Age of what an arm measures from which it counts as stale [s]."""
+    """Age from which an arm's measurement counts as stale [s]."""
     on_stale: OnStale = "fault"
-    """What a stale camera leads to."""
+    """Reaction to a stale camera."""
 
     def __bool__(self) -> bool:
-        """Whether anything is real."""
+        """Return True if any device is real."""
         return bool(self.platform)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """The devices of a place. Robots, end effectors, cameras and sensors that it does not name are simulated."""
+    """The real devices of a place. Robots, end effectors, cameras and sensors without an entry are simulated."""
 
     arms: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
-    """Arms by the name of the robot; an address, or a device."""
+    """Arms by robot name, as addresses or devices."""
     grippers: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
-    """Grippers by the name of the robot that carries them."""
+    """Grippers by the name of their robot."""
     hands: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
-    """Hands by the name of the robot that carries them."""
+    """Hands by the name of their robot."""
     cameras: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
     """Cameras by the name of their mount in the lab."""
     tactile: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
     """Cameras of tactile sensors by the name of the sensor, such as `fr3_left` on the left finger of `fr3`."""
     valid_for: float | None = None
-    """How long a command is valid without another [s]; then arms, grippers and hands hold. None for three control
-    periods. In synchronous steps, a command is valid for as long as a step may last."""
+    """Time for which a command is valid without a new one [s]; afterwards arms, grippers and hands hold. None for three
+    control periods. In synchronous steps, a command is valid for the longest duration of a step."""
     stale_after: float = 0.5
-    """Age of a frame, or of what a gripper or hand measures, from which its device counts as stale [s]."""
+    """Age of a frame, or of a measurement of a gripper or hand, from which the device counts as stale [s]."""
     arm_stale_after: float = 0.25
-    """Age of what an arm measures from which it counts as stale [s]. A stale arm, gripper or hand is in its fault
+    """Age of an arm's measurement from which the arm counts as stale [s]. A stale arm, gripper or hand enters its fault
     state."""
     on_stale: OnStale = "fault"
-    """What a stale camera leads to: `flag` only marks frames, `hold` has all devices hold until there is a new frame,
-    `fault` ends the episode."""
+    """Reaction to a stale camera: `flag` only marks frames, `hold` holds all devices until a new frame arrives, `fault`
+    ends the episode."""
 
     def __post_init__(self) -> None:
         """Check every field.
 
         Raises:
-            InvalidSetup: A field has a value that makes no sense.
+            InvalidSetup: A field has an invalid value.
         """
         for kind in KINDS:
             given: Any = getattr(self, kind)
@@ -171,7 +171,7 @@ class Site:
         """Read a site from a JSON file.
 
         Raises:
-            InvalidSetup: The file cannot be read, or does not say what it must.
+            InvalidSetup: The file cannot be read or does not describe a site.
         """
         try:
             content = json.loads(Path(path).read_text("utf-8"))
@@ -186,11 +186,13 @@ class Site:
         """Write the site to a JSON file.
 
         Raises:
-            InvalidSetup: It has devices themselves and not only addresses.
+            InvalidSetup: The site contains device objects, which have no address.
         """
         for kind in KINDS:
             if objects := [name for name, one in getattr(self, kind).items() if not isinstance(one, DeviceAddress)]:
-                raise InvalidSetup(f"The {kind} {objects} are devices without an address, which no file can hold.")
+                raise InvalidSetup(
+                    f"The {kind} {objects} are device objects, which cannot be written to a file; give their addresses."
+                )
         Path(path).write_text(json.dumps(dataclasses.asdict(self), indent=2) + "\n", "utf-8")
 
     @staticmethod
@@ -200,7 +202,7 @@ class Site:
         cameras: Collection[str] = (),
         tactile: Collection[str] = (),
     ) -> Site:
-        """Return a site from what `rcs.make(hardware=...)` takes.
+        """Return the site for the argument `hardware` of `rcs.make`.
 
         Args:
             hardware: A site, the path of its file, `driver:address` for all arms and end effectors, or a mapping from
@@ -211,8 +213,8 @@ class Site:
             tactile: Names of its tactile sensors.
 
         Raises:
-            InvalidSetup: It is none of these.
-            UnknownName: A name that is no robot, camera or sensor.
+            InvalidSetup: `hardware` is none of these.
+            UnknownName: A name is not that of a robot, camera or sensor.
         """
         if isinstance(hardware, Site):
             return hardware
@@ -252,18 +254,18 @@ class Site:
         tactile: Mapping[str, TactileDescription] | None = None,
         compliance: Mapping[str, Compliance] | None = None,
     ) -> Devices:
-        """Make the devices of a setup; nothing is connected. Those of one driver are made by one object of it.
+        """Create the devices of a setup without connecting; a single instance of each driver makes all of its devices.
 
         Args:
             robots: Arm and end effector of every robot, by name.
-            cameras: Description of every camera and the mode that is wanted, by name.
+            cameras: Description and requested mode of every camera, by name.
             tactile: Description of every tactile sensor, by name; None for none.
-            compliance: How arms give way to a push, by robot, with all numbers; None for arms that are stiff.
+            compliance: Complete compliance of arms, by robot; None for stiff arms.
 
         Raises:
-            UnknownName: A driver that is not installed, or a robot that the setup does not have.
-            InvalidSetup: A driver does not have such devices, or the robot has no such end effector, or its arm cannot
-                give way.
+            UnknownName: A driver is not installed, or a robot is not part of the setup.
+            InvalidSetup: A driver does not make such devices, a robot has no such end effector, or an arm does not
+                support compliance.
         """
         arms: dict[str, Arm] = {}
         effectors: dict[str, Gripper | Hand] = {}
@@ -316,7 +318,7 @@ class Site:
 
 
 def places_of(site: Site) -> list[Place]:
-    """Return the addresses of a site whose devices run in hosts, each once."""
+    """Return the unique addresses of a site's devices that run in hosts."""
     drivers: dict[str, Driver] = {}
     given = [one for kind in KINDS[:3] for one in getattr(site, kind).values() if isinstance(one, DeviceAddress)]
     hosts = [one for one in given if is_hosted(_driver(drivers, one.driver), one.options)]
@@ -328,7 +330,7 @@ def _place(driver: Driver, given: DeviceAddress) -> Place:
 
 
 def _made(drivers: dict[str, Driver], given: AnyDevice, kind: str, *about: Any) -> Any:
-    """Return a device, made by the one object of its driver."""
+    """Return a device, made by the single instance of its driver."""
     device: Any = given
     if isinstance(given, DeviceAddress):
         driver = _driver(drivers, given.driver)
@@ -342,26 +344,29 @@ def _made(drivers: dict[str, Driver], given: AnyDevice, kind: str, *about: Any) 
 
 
 def _giving_way(drivers: dict[str, Driver], given: AnyDevice, robot: str, compliance: Compliance | None) -> AnyDevice:
-    """Return the device of an arm, with how it gives way to a push in its options."""
+    """Return an arm's device with the compliance added to its options."""
     if not isinstance(given, DeviceAddress):
         if compliance is not None:
-            raise InvalidSetup(f"The arm of {robot!r} is a device; give its address, or leave compliance out.")
+            raise InvalidSetup(
+                f"The arm of {robot!r} is a device object, which takes no compliance; give its address, or leave "
+                "compliance out."
+            )
         return given
     can_give_way = _driver(drivers, given.driver).gives_way
     if can_give_way and "compliance" in given.options:
-        raise InvalidSetup(f"The site has the option compliance for {robot!r}; give it to the setup instead.")
+        raise InvalidSetup(f"The site has the option compliance for {robot!r}; set it in the setup instead.")
     if compliance is None:
         return given
     if not can_give_way:
         raise InvalidSetup(
-            f"The setup has a compliance, and the arm of {robot!r} has none with the driver {given.driver!r}; valid "
+            f"The setup has a compliance, but the driver {given.driver!r} of {robot!r} does not support it; valid "
             "are simulated arms and those of the driver 'franka'. Leave compliance out for a stiff arm."
         )
     return dataclasses.replace(given, options={**given.options, "compliance": compliance})
 
 
 def _driver(drivers: dict[str, Driver], name: str) -> Driver:
-    """Return the one object of a driver."""
+    """Return the single instance of a driver."""
     if name not in drivers:
         found = lookup.find("driver", name)
         found = found() if isinstance(found, type) else found
@@ -381,16 +386,16 @@ def _parted(text: str) -> tuple[str, str]:
 
 
 def _is_module(name: str) -> bool:
-    """Return whether a module can be looked for under this name; it is not imported."""
+    """Return True if the name can be that of a module; nothing is imported."""
     top = name.partition(".")[0]
     return top in sys.modules or (top.isidentifier() and importlib.util.find_spec(top) is not None)
 
 
 def _require_places(kind: str, devices: Mapping[str, AnyDevice]) -> None:
-    """Check that no two devices of a kind are one and the same.
+    """Check that the devices of a kind are different.
 
     Raises:
-        InvalidSetup: Two are one object, or at one address.
+        InvalidSetup: Two are the same object or have the same address.
     """
     first: dict[Any, str] = {}
     for name, one in devices.items():

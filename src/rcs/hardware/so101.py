@@ -1,7 +1,7 @@
-"""SO101 arms and their grippers: six Feetech STS3215 on one bus; a leader arm is one that is guided.
+"""SO101 arms and grippers: six Feetech STS3215 servos on one bus. A leader arm is an arm in guiding mode.
 
-Joints are 0 in the middle of their calibrated range, as LeRobot's are in degrees. The calibration is that of the file
-which LeRobot has written, or of the servos themselves.
+Joints are 0 in the middle of their calibrated range, like LeRobot's in degrees. The calibration is read from LeRobot's
+file or from the servos.
 """
 
 from __future__ import annotations
@@ -37,42 +37,42 @@ from rcs.hardware.so101_servos import (
 from rcs.robots.description import ArmDescription, GripperDescription
 
 RATE = 100.0
-"""Points per second; all servos are read before each [Hz]."""
+"""Rate of setpoints [Hz]; all servos are read before each."""
 KEPT_FREE = (MARGIN + 1) * tau / STEPS
-"""The same for joints [rad], with what rounding takes: points come to rest there and are not cut off."""
+"""`MARGIN` as a joint angle, plus rounding [rad]: setpoints come to rest there and are not clipped."""
 FRESH = 0.02
-"""The gripper is shown as the arm's last read has it when that is not older than this [s]."""
+"""Largest age of the arm's last reading that the gripper reuses [s]."""
 LONGEST_TIMEOUT = 1.0
-"""Longest time for which servos may not answer, as an option [s]."""
+"""Largest valid value of the option `timeout` [s]."""
 STILL = 20
-"""A gripper that is slower than this stands still [positions/s]."""
+"""Speed below which the gripper stands still [positions/s]."""
 THERE = 40
-"""A gripper that is nearer to its goal than this has reached it [positions]."""
+"""Distance below which the gripper has reached its goal [positions]."""
 BEGINNING = 0.2
-"""How long it takes a gripper to begin to move [s]."""
+"""Time until a commanded gripper begins to move [s]."""
 GRIP_TORQUE = 500
-"""Largest torque of the gripper's servo [1/1000], LeRobot's: it burns out where it presses with more for long."""
+"""Torque limit of the gripper's servo [1/1000], from LeRobot; the servo burns out if it presses harder for long."""
 GRIP_CURRENT = 250
-"""Largest current of the gripper's servo [6.5 mA], LeRobot's."""
+"""Current limit of the gripper's servo [6.5 mA], from LeRobot."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class So101Options:
-    """What a site may say of an SO101."""
+    """A site's options for an SO101."""
 
     calibration: str | Mapping[str, Any] | None = None
-    """Path of the file that LeRobot has written for this arm, or what is in it; None for that which the servos have."""
+    """LeRobot's calibration file for this arm, as a path or its content; None for the calibration in the servos."""
     at_close: Literal["release", "hold"] = "release"
-    """Whether the motors are switched off when the arm is closed, so that it falls, or it keeps its place and power."""
+    """When the arm is closed, `release` switches the motors off, so that it falls; `hold` keeps it powered in place."""
     timeout: float = TIMEOUT
-    """How long servos may not answer before they count as lost [s], 0.01 to 1."""
+    """Time without an answer after which servos count as lost [s], 0.01 to 1."""
 
     @staticmethod
     def of(options: Mapping[str, Any]) -> So101Options:
-        """Return the options of a site.
+        """Return the options from a site's mapping.
 
         Raises:
-            InvalidSetup: One is unknown, or has a value that makes no sense.
+            InvalidSetup: An option is unknown or has an invalid value.
         """
         require_fields("option of an SO101", options, So101Options.__dataclass_fields__)
         given = So101Options(**options)
@@ -85,16 +85,16 @@ class So101Options:
 
 
 class So101Arm(StreamedArm):
-    """The arm of an SO101; guided, it is a leader. No motor is switched on before the first command."""
+    """The arm of an SO101, also used as a leader by guiding it. The first command switches the motors on."""
 
     def __init__(self, link: Link[Servos], limits: ArmLimits, *, options: So101Options, name: str) -> None:
-        """Describe the arm; nothing is connected.
+        """Create the arm; `open` connects.
 
         Args:
-            link: Its servos.
-            limits: Its limits.
-            options: What else the site says.
-            name: Name in messages.
+            link: Link to its servos.
+            limits: Limits of the joints.
+            options: The site's options.
+            name: Name of the arm in messages.
         """
         silence = options.timeout + 0.2
         super().__init__(
@@ -110,7 +110,7 @@ class So101Arm(StreamedArm):
     def _open(self) -> None:
         self.link.open(self)
         with self.link as servos:
-            servos.end_overload(ARM)  # of one that was left so
+            servos.end_overload(ARM)  # left by an earlier program
 
     def _close(self) -> None:
         try:
@@ -118,7 +118,7 @@ class So101Arm(StreamedArm):
                 with self.link as servos:
                     servos.release(ARM)
         except DeviceFault:
-            if not self.fault:  # else it is known that they do not answer
+            if not self.fault:  # otherwise they are known not to answer
                 raise
         finally:
             self._is_powered = self._is_led = False
@@ -136,7 +136,7 @@ class So101Arm(StreamedArm):
         with self.link as servos:
             reading, calibrations = servos.read(), servos.calibration
         self._trouble = reading.faults(ARM)
-        if self._trouble and not self._is_led and not self.fault:  # else `_write` tells
+        if self._trouble and not self._is_led and not self.fault:  # otherwise `_write` reports it
             self.set_fault(self._trouble)
         joints = [calibrations[servo].joint(reading.positions[servo]) for servo in ARM]
         signs = [-1.0 if calibrations[servo].drive_mode else 1.0 for servo in ARM]
@@ -173,10 +173,10 @@ class So101Arm(StreamedArm):
 
 
 class So101Gripper(Gripper):
-    """The gripper of an SO101, whose servo never has more than half of its torque."""
+    """The gripper of an SO101. Its servo is limited to half of its torque."""
 
     def __init__(self, link: Link[Servos], about: GripperDescription, *, options: So101Options, name: str) -> None:
-        """Describe the gripper; arguments as those of the arm."""
+        """Create the gripper; arguments as in `So101Arm`."""
         super().__init__(name, about.max_width, about.max_force)
         self.link = link
         self._options = options
@@ -224,17 +224,17 @@ class So101Gripper(Gripper):
         with self.link as servos:
             reading = self._newest(servos)
         is_there = abs(reading.positions[GRIPPER] - self._goal) <= THERE
-        # Fingers that something is between stand still elsewhere, but not before they have begun to move.
+        # Fingers on an object stand still away from the goal, but only after they have begun to move.
         return abs(reading.speeds[GRIPPER]) < STILL and (is_there or time.monotonic() > self._since + BEGINNING)
 
     def _hold(self) -> None:
         with self.link as servos:
-            # Fingers that press on an object go on pressing: letting it fall is not holding.
+            # Fingers that press on an object keep pressing: to hold must not mean to drop it.
             reading = servos.read()
             begins = time.monotonic() < self._since + BEGINNING and abs(reading.positions[GRIPPER] - self._goal) > THERE
             if self._is_powered and (abs(reading.speeds[GRIPPER]) >= STILL or begins):
                 servos.hold([GRIPPER])
-                self._goal, self._since = -1, -math.inf  # the next command is a new one
+                self._goal, self._since = -1, -math.inf  # treat the next command as new
 
     def _recover(self) -> None:
         with self.link as servos:
@@ -252,25 +252,25 @@ class So101Gripper(Gripper):
 
 
 class So101Driver(Driver):
-    """Makes SO101 arms and their grippers, at a serial port; options are those of `So101Options`."""
+    """Driver of SO101 arms and grippers at a serial port, with the options of `So101Options`."""
 
     hosted = True
-    host_times = HostTimes(answer=2.0, open=5.0)  # arm and gripper wait for each other: one line for both
+    host_times = HostTimes(answer=2.0, open=5.0)  # arm and gripper share a line and wait for each other
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> So101Arm:
-        """Return an arm, at the path of its serial port."""
+        """Return the arm at a serial port."""
         if tuple(about.joints) != NAMES[:5]:
             raise InvalidSetup(f"The driver of SO101 arms cannot drive {about.label}.")
         given = So101Options.of(options)
         return So101Arm(self._servos(address, given), limits_of(about), options=given, name=address)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> So101Gripper:
-        """Return a gripper, at the path of the serial port of its arm."""
+        """Return the gripper of the arm at a serial port."""
         given = So101Options.of(options)
         return So101Gripper(self._servos(address, given), about, options=given, name=f"{address} gripper")
 
     def _servos(self, address: str, options: So101Options) -> Link[Servos]:
         if not address:
-            raise InvalidSetup("An SO101 has no address; give the path of its serial port, such as /dev/ttyACM0.")
+            raise InvalidSetup("The SO101 has no address; give the path of its serial port, such as /dev/ttyACM0.")
         calibration = None if options.calibration is None else read_calibration(options.calibration)
         return self.link(address, lambda: Servos(address, calibration, options.timeout), lambda one: one.bus.close())

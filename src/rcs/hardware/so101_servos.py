@@ -1,4 +1,4 @@
-"""The six Feetech STS3215 of an SO101 on their bus: registers, calibration, and what they measure."""
+"""The six Feetech STS3215 servos of an SO101: registers, calibration and measurements."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.servo_bus import ServoBus, signed
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-"""The servos 1 to 6, as LeRobot calls them."""
+"""LeRobot's names of the servos 1 to 6."""
 ARM, GRIPPER = (1, 2, 3, 4, 5), 6
 STEPS = 4096
-"""Positions of the encoder in a turn."""
+"""Encoder positions per turn."""
 STS3215 = 777
-"""Number of the model, as the servos tell it."""
+"""Model number that the servos report."""
 MARGIN = 4
-"""Positions at the ends of the calibrated range to which nothing is led."""
+"""Margin at the ends of the calibrated range that commands never enter [positions]."""
 OPENING = 1.0
-"""How long servos may take to answer when they are connected [s]."""
+"""Timeout for the servos' answers while connecting [s]."""
 RECOVERY = 0.3
-"""How long a servo may still tell an overload when it has been switched off [s]."""
+"""Time for which a servo may still report an overload after it is switched off [s]."""
 JUMP = 0.15
-"""A joint that is farther than this from where its fastest motion may have brought it is read once more [rad]."""
+"""Distance beyond a joint's fastest possible motion from which its reading is repeated [rad]."""
 FASTEST = 10.0
-"""Speed of a joint that a person swings [rad/s]."""
+"""Largest speed of a joint that a person moves [rad/s]."""
 
 # First byte and size of registers, from Feetech's table of the STS series.
 MODEL, OFFSET, LOWEST, HIGHEST = (3, 2), (31, 2), (9, 2), (11, 2)
 MOST_TORQUE, GAIN_P, GAIN_D, GAIN_I, MOST_CURRENT = (16, 2), (21, 1), (22, 1), (23, 1), (28, 2)
 TORQUE_ON, ACCELERATION, GOAL, TORQUE_LIMIT, LOCK = (40, 1), (41, 1), (42, 2), (48, 2), (55, 1)
 SETTINGS = 40
-"""Number of registers that last without power, from 0."""
+"""Number of registers in permanent memory, from 0."""
 PRESENT, PRESENT_SIZE = 56, 15
-"""What servos measure: position, speed, load, voltage, temperature, …, errors, …, current."""
+"""First register and size of the measurements: position, speed, load, voltage, temperature, …, errors, …, current."""
 
 GAINS = {GAIN_P: 16, GAIN_I: 0, GAIN_D: 32}
-"""LeRobot's (so_follower): with the factory's the arm shakes."""
+"""Gains from LeRobot (so_follower); with the factory's gains the arm shakes."""
 
 ERRORS = {1: "undervoltage", 2: "angle sensor", 4: "overheating", 8: "overcurrent", 32: "overload"}
-"""What servos tell in each answer, by bit."""
+"""Errors in each answer of a servo, by bit."""
 _OVERLOAD, _VOLTAGE = 32, 1
 _ADVICE = {
     "undervoltage": "look at the power supply",
     "angle sensor": "replace the servo",
     "overheating": "let it cool down",
-    "overcurrent": "see what blocks the joint",
-    "overload": "see what blocks the joint, then recover",
+    "overcurrent": "check what blocks the joint",
+    "overload": "check what blocks the joint, then recover",
 }
 
 
@@ -62,21 +62,21 @@ class MotorCalibration:
     id: int
     """Number of the servo."""
     drive_mode: int
-    """1 where the motor turns the other way."""
+    """1 if the motor turns the other way."""
     homing_offset: int
-    """Position of the encoder that counts as 0."""
+    """Encoder position that counts as 0."""
     range_min: int
     """Lowest position of the joint."""
     range_max: int
     """Highest position of the joint."""
 
     def joint(self, position: float) -> float:
-        """Return the joint at a position of the servo [rad]."""
+        """Return the joint position [rad] for a position of the servo."""
         way = (position - 0.5 * (self.range_min + self.range_max)) * tau / STEPS
         return -way if self.drive_mode else way
 
     def position(self, joint: float) -> int:
-        """Return the position of the servo for a joint [rad], within the range."""
+        """Return the position of the servo for a joint position [rad], clipped to the range."""
         way = (-joint if self.drive_mode else joint) * STEPS / tau
         return self._within(0.5 * (self.range_min + self.range_max) + way)
 
@@ -96,21 +96,21 @@ class MotorCalibration:
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """What all servos measured at one time."""
+    """The measurements of all servos at one time."""
 
     time: float
-    """When, on the monotonic clock [s]."""
+    """Time on the monotonic clock [s]."""
     positions: Mapping[int, int]
-    """By servo."""
+    """Positions by servo."""
     speeds: Mapping[int, int]
-    """By servo, in positions per second."""
+    """Speeds by servo [positions/s]."""
     errors: Mapping[int, int]
-    """Bits by servo."""
+    """Error bits by servo."""
     volts: Mapping[int, float]
-    """By servo."""
+    """Voltages by servo [V]."""
 
     def faults(self, servos: Sequence[int]) -> str:
-        """Return what is wrong with servos, by joint; empty if nothing is."""
+        """Return a description of the servos' faults by joint; empty without a fault."""
         told: list[str] = []
         for bit, what in ERRORS.items():
             names = [NAMES[servo - 1] for servo in servos if self.errors[servo] & bit]
@@ -124,15 +124,15 @@ class Servos:
     """The six servos of one SO101, connected."""
 
     def __init__(self, address: str, calibration: Mapping[str, MotorCalibration] | None, timeout: float) -> None:
-        """Open the bus, and check that it is the arm that is meant; no motor is switched on or off.
+        """Open the bus and check that it is the expected arm, without switching a motor on or off.
 
         Args:
             address: Path of the serial port.
-            calibration: What the servos must have, by motor; None to take what they have.
-            timeout: How long servos may not answer before they count as lost [s].
+            calibration: Calibration that the servos must have, by motor; None to accept theirs.
+            timeout: Time without an answer after which servos count as lost [s].
 
         Raises:
-            DeviceFault: A servo does not answer, is of another model, or has no calibration or another one.
+            DeviceFault: A servo does not answer, or its model or calibration is not the expected one.
             MissingDependency: The vendor's library is not installed.
         """
         self.bus = ServoBus(address, dict(enumerate(NAMES, 1)), max(timeout, OPENING))
@@ -142,7 +142,7 @@ class Servos:
         self.bus.open()
         try:
             self.calibration = self._check()
-            """By servo."""
+            """Calibration by servo."""
         except BaseException:
             self.bus.close()
             raise
@@ -156,17 +156,17 @@ class Servos:
         """
         reading = self._read()
         if self.last is not None and _has_jumped(self.last, reading):
-            reading = self._read()  # it has come that far, or its checksum was right by chance
+            reading = self._read()  # it moved that far, or the checksum matched by chance
         self.last = reading
         return reading
 
     def newest(self, age: float) -> Reading:
-        """Return the last reading if it is not older than this [s], else a new one."""
+        """Return the last reading if it is not older than `age` [s], else a new one."""
         last = self.last
         return last if last is not None and time.monotonic() - last.time < age else self.read()
 
     def set(self, servo: int, register: tuple[int, int], value: int) -> None:
-        """Write a register; one that lasts without power only if it differs, since that memory wears."""
+        """Write a register; one in permanent memory, which wears, only if its value differs."""
         first, size = register
         if first < SETTINGS:
             _, values = self.bus.read([servo], first, size)[servo]
@@ -178,12 +178,12 @@ class Servos:
             self.bus.write(servo, LOCK[0], 1, 1)
 
     def put(self, servo: int, register: tuple[int, int], value: int) -> None:
-        """Write a register that does not last without power."""
+        """Write a register in volatile memory."""
         first, size = register
         self.bus.write(servo, first, value, size)
 
     def tune(self, servos: Sequence[int]) -> None:
-        """Give servos their gains, and have them go to goals without ramps of their own."""
+        """Set the gains of servos and switch off their own velocity ramps."""
         first = GAIN_P[0]
         gains = bytes(GAINS[register, 1] for register in range(first, first + len(GAINS)))
         for servo, (_, values) in self.bus.read(servos, first, ACCELERATION[0] + 1 - first).items():
@@ -195,19 +195,19 @@ class Servos:
                 self.bus.write(servo, ACCELERATION[0], 0, 1)
 
     def hold(self, servos: Sequence[int]) -> None:
-        """Have servos stay where they are."""
+        """Hold servos at their present positions."""
         reading = self.read()
         self.bus.write_all(GOAL[0], {servo: _goal(reading.positions[servo]) for servo in servos})
 
     def power(self, servos: Sequence[int]) -> None:
-        """Switch servos on where they are: first their goal, then the torque, or they would jump to an old one."""
+        """Switch servos on at their positions: set the goal before the torque, or they would jump to an old goal."""
         positions = self.read().positions
         for servo in servos:
             self.put(servo, GOAL, _goal(positions[servo]))
             self.put(servo, TORQUE_ON, 1)
 
     def end_overload(self, servos: Sequence[int]) -> list[int]:
-        """Switch off those servos that are in overload, which ends it, and return them."""
+        """Switch off servos in overload, which clears it, and return them."""
         over = [servo for servo in servos if self.read().errors[servo] & _OVERLOAD]
         self.release(over)
         end = time.monotonic() + RECOVERY
@@ -216,7 +216,7 @@ class Servos:
         return over
 
     def release(self, servos: Sequence[int]) -> None:
-        """Switch servos off; an arm that nobody holds falls."""
+        """Switch servos off; an arm without support falls."""
         for servo in servos:
             self.put(servo, TORQUE_ON, 0)
 
@@ -234,14 +234,14 @@ class Servos:
         )
 
     def _check(self) -> dict[int, MotorCalibration]:
-        """Return the calibration of the servos, which must be the one that was given."""
+        """Return the calibration of the servos after comparing it with the given one."""
         found = self.bus.read(list(range(1, len(NAMES) + 1)), 0, SETTINGS)
         calibration: dict[int, MotorCalibration] = {}
         amiss: list[str] = []
         for servo, (_, own) in found.items():
             name = NAMES[servo - 1]
             if (model := _number(own, MODEL)) != STS3215:
-                amiss.append(f"{name} is of the model {model}, this driver speaks with {STS3215} (STS3215)")
+                amiss.append(f"{name} has the model number {model}, the driver needs {STS3215} (STS3215)")
                 continue
             values = {
                 "homing_offset": signed(_number(own, OFFSET), 11),
@@ -260,17 +260,17 @@ class Servos:
             )
         if amiss:
             raise DeviceFault(
-                f"The arm at {self.bus.address} is not the one that is meant: {'; '.join(amiss)}. Give the calibration "
+                f"The arm at {self.bus.address} is not the expected one: {'; '.join(amiss)}. Give the calibration "
                 "file of this arm, or calibrate it: lerobot-calibrate."
             )
         return calibration
 
 
 def read_calibration(given: str | Path | Mapping[str, Any]) -> dict[str, MotorCalibration]:
-    """Return the calibration by motor from the path of LeRobot's file, or from what is in it.
+    """Return the calibration by motor from LeRobot's file, given by its path or content.
 
     Raises:
-        InvalidSetup: It cannot be read, or a motor or a value is missing or none.
+        InvalidSetup: The file cannot be read, or a motor or value is missing or invalid.
     """
     content: Any = given
     if isinstance(given, str | Path):
@@ -283,7 +283,7 @@ def read_calibration(given: str | Path | Mapping[str, Any]) -> dict[str, MotorCa
     except (TypeError, KeyError) as err:
         fields = ", ".join(MotorCalibration.__dataclass_fields__)
         raise InvalidSetup(
-            f"The calibration lacks {err} or has too much; valid is, for each of {', '.join(NAMES)}: {fields}."
+            f"The calibration lacks {err} or has extra fields; valid is, for each of {', '.join(NAMES)}: {fields}."
         ) from err
     for servo, (name, motor) in enumerate(found.items(), 1):
         values = vars(motor)

@@ -1,4 +1,4 @@
-"""Where a TCP is led on its way to a pose: straight, within a speed and an acceleration, tick by tick."""
+"""The straight motion of a TCP to a pose within limits of speed and acceleration, tick by tick."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from numpy.typing import NDArray
 from rcs.spatial import Pose
 
 REACH = 0.9
-"""Share of the acceleration that braking at the target is planned with."""
+"""Fraction of the acceleration limit used for braking at the target."""
 
 
 class TcpRamp:
-    """A TCP that goes from pose to pose; translation and rotation each keep their limits."""
+    """A setpoint of the TCP that moves from pose to pose, with separate limits for translation and rotation."""
 
     def __init__(self, start: Pose, speeds: tuple[float, float], accelerations: tuple[float, float]) -> None:
-        """Stand at a pose.
+        """Start at rest.
 
         Args:
-            start: In the base.
-            speeds: Largest of the translation [m/s] and of the rotation [rad/s].
-            accelerations: Likewise [m/s², rad/s²].
+            start: Pose of the TCP in the base.
+            speeds: Limits of the translation [m/s] and the rotation [rad/s].
+            accelerations: Limits of the translation [m/s²] and the rotation [rad/s²].
         """
         self.pose = start
-        """Where the TCP is led, in the base."""
+        """Setpoint of the TCP in the base."""
         self._limits = tuple(zip(speeds, accelerations, strict=True))
         self._twist = np.zeros(6)
 
     @property
     def is_still(self) -> bool:
-        """Whether it stands."""
+        """True if the setpoint is at rest."""
         return not self._twist.any()
 
     def advance(self, goal: Pose | None, dt: float) -> Pose:
-        """Go on for a tick [s], to a goal or, without one, to rest; return where that is."""
+        """Advance by a tick of `dt` [s] towards a goal in the base, or brake if None; return the new setpoint."""
         ways = np.zeros(6)
         if goal is not None:
             ways[:3] = goal.translation - self.pose.translation
@@ -48,9 +48,9 @@ class TcpRamp:
 def _next(
     velocity: NDArray[np.float64], way: NDArray[np.float64], speed: float, acceleration: float, dt: float
 ) -> NDArray[np.float64]:
-    """Return the velocity of the next tick."""
+    """Return the velocity during the next tick."""
     distance = float(np.linalg.norm(way))
-    # The last tick ends at the goal, and from every one before it can be stopped there.
+    # The last tick ends at the goal; from every earlier one, braking at the goal is possible.
     fastest = min(speed, distance / dt, float(np.sqrt(2.0 * REACH * acceleration * distance)))
     wanted = way * (fastest / distance) if distance > 0 else np.zeros(3)
     change = wanted - velocity

@@ -1,9 +1,9 @@
-"""Arms of Universal Robots: the e-series, over the vendor's RTDE, with the library ur-rtde.
+"""Arms of Universal Robots' e-series, over the vendor's RTDE interface, with the library ur-rtde.
 
-`open` reads and sends nothing. The first command uploads the library's control script, which takes 0.1 s; from then on
-joints are streamed to it (servoj), up to 500 times a second; poses, twists and joint velocities go to the controller's
-own laws. A watchdog on the controller ends the script when nothing comes any more: the arm then brakes, whatever has
-become of this program.
+`open` only reads. The first command uploads the library's control script, which takes 0.1 s; from then on joints are
+streamed to it (servoj) up to 500 times a second, and the controller itself executes poses, twists and joint velocities.
+A watchdog on the controller ends the script when no more packets arrive: the arm then brakes, even if this program has
+crashed.
 """
 
 from __future__ import annotations
@@ -36,30 +36,30 @@ from rcs.spatial import Pose
 OPTIONS: Final = ("rate", "watchdog", "lookahead", "gain", "speed", "tcp", "tcp_speed")
 
 TCP_SPEED: Final = 0.25
-"""Of the TCP, when the site says nothing [m/s]: what ISO 10218-1 allows beside people who teach."""
+"""Default speed of the TCP [m/s]: the limit of ISO 10218-1 for teaching next to people."""
 TURN_PER_METRE: Final = 4.0
-"""How many radians the TCP may turn in the time of a metre [rad/m]; ours."""
+"""Ratio of the TCP's limits of rotation and translation [rad/m]; our choice."""
 TCP_ACCELERATION: Final = 1.2
-"""Of the TCP [m/s²]; the usual one of the vendor's linear moves."""
+"""Acceleration of the TCP [m/s²]; the default of the vendor's linear moves."""
 AT_REST: Final = 1e-3
-"""Slower joints stand still [rad/s]."""
+"""Speed below which a joint stands still [rad/s]."""
 
 SILENCE: Final = 0.15
-"""For how long the controller's clock may stand still before that is a fault [s]."""
+"""Time without a change of the controller's clock after which the arm is at fault [s]."""
 REASON_TIME: Final = 0.05
-"""For how long the reason is waited for why the controller takes no commands [s]."""
+"""Longest wait for the reason why the controller takes no commands [s]."""
 PATIENCE: Final = 1.0
-"""How long the controller may take to send new values after it was unlocked [s]."""
+"""Timeout for new values from the controller after unlocking it [s]."""
 CLOCK_DRIFT: Final = 1e-4
-"""By how much the controller's clock may run slower than the host's [1]."""
+"""Largest relative drift of the controller's clock against the host's [1]."""
 
 OUTPUTS: Final = (
     "timestamp", "actual_q", "actual_qd", "target_q", "target_TCP_pose", "robot_mode", "safety_mode", "joint_mode",
     "runtime_state",
 )  # fmt: skip
-"""What is read, by the names of RTDE."""
+"""Outputs to read, by their RTDE names."""
 
-# RTDE's numbers for what the dashboard has names of; vendor's guide "Real-Time Data Exchange".
+# RTDE's numbers of modes that the dashboard names; vendor's guide "Real-Time Data Exchange".
 _SAFETY_MODES = {
     3: "PROTECTIVE_STOP", 4: "RECOVERY", 5: "SAFEGUARD_STOP", 6: "SYSTEM_EMERGENCY_STOP", 7: "ROBOT_EMERGENCY_STOP",
     8: "VIOLATION", 9: "FAULT",
@@ -74,27 +74,27 @@ _IS_PLAYING = 2
 
 
 class UrArm(StreamedArm):
-    """A UR arm: joints by servoj, their velocities by speedj and, with a TCP, poses by servol and twists by speedl."""
+    """A UR arm: joints by servoj, joint velocities by speedj and, with a TCP, poses by servol and twists by speedl."""
 
     def __init__(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> None:
-        """Describe the arm; `open` connects.
+        """Create the arm; `open` connects.
 
         Args:
             address: IP address of the controller.
-            about: Its figures.
-            options: `rate` of points [Hz]; `watchdog`, how often the controller must hear of us at least [Hz];
-                `lookahead` [s] and `gain` of servoj; `speed`, a share of the description's joint speeds; `tcp`, its
-                pose in the flange as translation [m] and quaternion xyzw, without which poses and twists are not taken,
-                and its largest `tcp_speed` on the way to a pose and at a twist [m/s].
+            about: Description of the arm.
+            options: `rate` of setpoints [Hz]; `watchdog`, the lowest rate of packets that the controller accepts [Hz];
+                `lookahead` [s] and `gain` of servoj; `speed`, a fraction of the description's joint speeds; `tcp`, the
+                pose of the TCP in the flange as translation [m] and quaternion xyzw, required for poses and twists;
+                `tcp_speed`, its limit for poses and twists [m/s].
 
         Raises:
-            InvalidSetup: There is no such option, or it makes no sense.
+            InvalidSetup: An option does not exist or has an invalid value.
         """
         require_fields("option of a UR arm", options, OPTIONS)
         rate = _number(options, "rate", 500.0, 50.0, 500.0)
         self._watchdog = _number(options, "watchdog", 20.0, 1.0, 100.0)
-        # On a controller whose acceleration is gain * (error - lookahead * speed), nothing overshoots from
-        # gain = 4 / lookahead² on.
+        # A controller with acceleration = gain * (error - lookahead * speed) does not overshoot if
+        # gain >= 4 / lookahead².
         self._lookahead = _number(options, "lookahead", 0.05, 0.03, 0.2)
         self._gain = _number(options, "gain", 1600.0, 100.0, 2000.0)
         speed = _number(options, "speed", 1.0, 0.01, 1.0)
@@ -122,7 +122,7 @@ class UrArm(StreamedArm):
         self._trouble = ""
         self._ramp: TcpRamp | None = None
         self._kind = CommandKind.joints
-        self._end = ""  # how the thread of the script is ended that has the joints
+        self._end = ""  # function that ends the script's thread in control of the joints
         self._is_led = False
         self._is_given_way = False
         self._device_time = math.nan
@@ -147,14 +147,14 @@ class UrArm(StreamedArm):
         receive, now = self._receive, time.monotonic()
         device_time = receive.getTimestamp()
         if device_time != self._device_time:
-            # The least delay that was seen is that of the line; the clocks may drift apart.
+            # The smallest delay so far is taken as that of the line; the clocks may drift apart.
             drifted = self._offset + CLOCK_DRIFT * (now - self._heard)
             self._offset = min(drifted, now - device_time)
             self._device_time, self._heard = device_time, now
         elif self._is_silent:
             raise DeviceFault(
-                f"the controller has sent nothing new for {now - self._heard:.2f} s; it hangs, or the cable is out. "
-                "The watchdog on the controller stops the arm"
+                f"the controller has sent nothing new for {now - self._heard:.2f} s; it hangs, or the cable is "
+                "unplugged. The watchdog on the controller stops the arm"
             )
         self._look()
         if self._is_given_way:
@@ -173,7 +173,7 @@ class UrArm(StreamedArm):
         return time.monotonic() - self._heard > SILENCE
 
     def _look(self) -> None:
-        """Enter the fault state for what the controller reports; what is measured stays readable."""
+        """Enter the fault state if the controller reports a fault; measurements stay readable."""
         receive = self._receive
         safety = receive.getSafetyMode()
         if safety in _SAFETY_MODES:
@@ -190,13 +190,13 @@ class UrArm(StreamedArm):
             trouble = MODE_WORDS.get(_ROBOT_MODES.get(mode, ""), f"the robot mode is {mode}")
         elif receive.getRuntimeState() != _IS_PLAYING:
             trouble = (
-                "the control script on the controller has ended: somebody stopped it or took local control, or nothing "
-                f"was heard of this program for {1 / self._watchdog:.3f} s (watchdog)"
+                "the control script on the controller has ended: a user stopped it or took local control, or this "
+                f"program sent nothing for {1 / self._watchdog:.3f} s (watchdog)"
             )
         else:
             trouble = ""
         self._trouble = trouble
-        if trouble and not self._is_led and not self.fault:  # else `_write` tells
+        if trouble and not self._is_led and not self.fault:  # otherwise `_write` reports it
             self.set_fault(trouble)
 
     def _start(self) -> None:
@@ -205,17 +205,17 @@ class UrArm(StreamedArm):
             self._control.endFreedriveMode()
         else:
             self._start_program()
-        self._servo(self._receive.getActualQ())  # the script takes its time for the first one
+        self._servo(self._receive.getActualQ())  # the script is slow with the first one
         self._is_led = True
 
     def _start_program(self) -> None:
-        """Upload the control script, and have it watched over.
+        """Upload the control script and start its watchdog.
 
         Raises:
-            DeviceFault: The arm is not ready for it, or another program has it.
+            DeviceFault: The arm is not ready, or another program controls it.
         """
         if self._control is not None:
-            stop_program(self._address)  # a script of our own may be left
+            stop_program(self._address)  # a script of our own may still run
         require_ready_for_program(self._address)
         control = package_of("ur", "rtde_control", "The driver `ur` needs")
         try:
@@ -229,7 +229,7 @@ class UrArm(StreamedArm):
         until = time.monotonic() + 2.0
         while self._receive.getRuntimeState() != _IS_PLAYING or not self._control.isProgramRunning():
             if time.monotonic() > until:
-                raise DeviceFault(f"{self._address}: the control script does not start; look at the log of the pendant")
+                raise DeviceFault(f"{self._address}: the control script does not start; check the log on the pendant")
             time.sleep(0.002)
         if self._tcp is not None:
             self._control.setTcp([*self._tcp.translation, *self._tcp.rotvec])
@@ -271,7 +271,7 @@ class UrArm(StreamedArm):
         return max(map(abs, self._receive.getActualQd())) < AT_REST
 
     def _servo_to(self, goal: Pose | None) -> None:
-        """Lead the TCP on by a tick."""
+        """Send the TCP's setpoint for the next tick."""
         if self._ramp is None:
             start = self._receive.getTargetTCPPose()
             turn = TURN_PER_METRE
@@ -285,19 +285,19 @@ class UrArm(StreamedArm):
         self._send("servoL", target, 0.0, 0.0, self._period, self._lookahead, self._gain)
 
     def _send(self, call: str, *values: Any) -> None:
-        """Give the control script a command.
+        """Send a command to the control script.
 
         Raises:
-            DeviceFault: It takes none any more; says why.
+            DeviceFault: The script takes no commands any more; the message says why.
         """
         if self._trouble:
             raise DeviceFault(self._trouble)
-        # The script has a thread for servoing and one for speeds. Both at once would end it. They change at rest only.
+        # The script has a thread for servoing and one for speeds, and ends if both run. They change only at rest.
         end = "servoStop" if call.startswith("servo") else "speedStop"
         is_taken = self._end in ("", end) or getattr(self._control, self._end)()
         self._end = end
         if not (is_taken and getattr(self._control, call)(*values)):
-            # The reason comes with one of the next outputs.
+            # One of the next outputs contains the reason.
             until = time.monotonic() + REASON_TIME
             while not self._trouble and time.monotonic() < until:
                 time.sleep(0.002)
@@ -306,7 +306,7 @@ class UrArm(StreamedArm):
 
     def _stop(self) -> None:
         self._is_led = self._is_given_way = False
-        if not self._is_silent:  # else the watchdog does it
+        if not self._is_silent:  # otherwise the watchdog stops it
             stop_program(self._address)
 
     def _can_guide(self) -> bool:
@@ -327,9 +327,9 @@ class UrArm(StreamedArm):
     def _clear(self) -> None:
         self._is_led = self._is_given_way = False
         if self._control is not None:
-            stop_program(self._address)  # what it was told before the fault does not count
+            stop_program(self._address)  # commands from before the fault do not count
         unlock(self._address)
-        # What comes next was measured after that, over the old connections where they have survived.
+        # The next values were measured after that, over the old connections if they have survived.
         self._offset = math.inf
         before, until = self._receive.getTimestamp(), time.monotonic() + PATIENCE
         while self._receive.getTimestamp() == before or self._receive.getSafetyMode() in _SAFETY_MODES:
@@ -353,7 +353,7 @@ class UrArm(StreamedArm):
 
 
 class UrDriver(Driver):
-    """Reaches UR arms, and Robotiq grippers that are connected to them, by the IP address of the controller."""
+    """Driver of UR arms, and of Robotiq grippers connected to them, at the IP address of the controller."""
 
     hosted = True
 
@@ -362,9 +362,9 @@ class UrDriver(Driver):
         return UrArm(address, about, options)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> Gripper:
-        """Return a Robotiq gripper at the controller's URCap; nothing is connected."""
+        """Return a Robotiq gripper on the controller's URCap; nothing is connected."""
         if not about.name.startswith("robotiq"):
-            raise InvalidSetup(f"The driver ur reaches grippers of Robotiq, not {about.name!r}; name another driver.")
+            raise InvalidSetup(f"The driver ur supports grippers of Robotiq, not {about.name!r}; use another driver.")
         return RobotiqGripper(address, about, options)
 
 

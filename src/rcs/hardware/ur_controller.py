@@ -1,7 +1,7 @@
-"""What a UR controller says of itself over plain sockets, each call with a deadline.
+"""Queries to a UR controller over plain sockets, each with a timeout.
 
-The vendor's library waits for ever on a peer that says nothing, and keeps the interpreter's lock meanwhile, so the
-ports are tried here before it is given the address.
+The vendor's library waits forever for a silent peer while it holds the GIL. Therefore the functions here test the ports
+before the library connects.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ DASHBOARD, SCRIPT, RTDE = 29999, 30002, 30004
 RTDE_VERSION: Final = 2
 """Version of RTDE that ur-rtde speaks."""
 PATIENCE: Final = 2.0
-"""How long the ports together may take to answer [s]."""
+"""Timeout for the answers on all ports together [s]."""
 
 _PURPOSE = {DASHBOARD: "dashboard", SCRIPT: "script port", RTDE: "RTDE"}
 
 
 class Dashboard:
-    """The controller's dashboard: a line of text is answered by a line."""
+    """The controller's dashboard server, which answers each line of text with a line."""
 
     def __init__(self, address: str, patience: float = PATIENCE) -> None:
         """Connect.
 
         Raises:
-            DeviceFault: Nobody answers in time, or somebody else than a UR; says what to look at.
+            DeviceFault: There is no timely answer, or not from a UR; the message says what to check.
         """
         self._address = address
         self._socket = _connect(address, DASHBOARD, patience)
@@ -38,13 +38,15 @@ class Dashboard:
         try:
             banner = self._line(patience)
             if "Universal Robots" not in banner:
-                raise DeviceFault(f"{address}: port {DASHBOARD} greets with {banner[:60]!r}: this is no UR controller")
+                raise DeviceFault(
+                    f"{address}: port {DASHBOARD} greets with {banner[:60]!r}: this is not a UR controller"
+                )
         except BaseException:
             self.close()
             raise
 
     def ask(self, question: str, patience: float = 0.5) -> str:
-        """Send a line and return the answer.
+        """Send a line and return the answer within `patience` [s].
 
         Raises:
             DeviceFault: There is no answer in time.
@@ -52,11 +54,11 @@ class Dashboard:
         try:
             self._socket.sendall(question.encode() + b"\n")
         except OSError as err:
-            raise DeviceFault(f"{self._address}: the dashboard is gone ({err})") from err
+            raise DeviceFault(f"{self._address}: the connection to the dashboard is lost ({err})") from err
         return self._line(patience)
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self._socket.close()
 
     def __enter__(self) -> Dashboard:
@@ -74,10 +76,10 @@ class Dashboard:
 
 
 def require_controller(address: str) -> None:
-    """Check that a UR controller answers on all ports that are needed, in a version that ur-rtde speaks.
+    """Check that a UR controller answers on all required ports, in a version that ur-rtde supports.
 
     Raises:
-        DeviceFault: It does not; says what to look at. At most after `PATIENCE`.
+        DeviceFault: It does not, within `PATIENCE` seconds; the message says what to check.
     """
     until = time.monotonic() + PATIENCE
     with Dashboard(address, PATIENCE) as dashboard:
@@ -96,10 +98,10 @@ def require_controller(address: str) -> None:
 
 
 def require_ready_for_program(address: str) -> None:
-    """Check that a program may be sent to the controller: nothing is energised, unlocked or stopped for it.
+    """Check that the controller accepts a program, without switching on, unlocking or stopping anything.
 
     Raises:
-        DeviceFault: The arm is off, stopped, in local control, or runs somebody else's program.
+        DeviceFault: The arm is off, stopped, in local control, or runs another program.
     """
     with Dashboard(address) as dashboard:
         safety, mode = status_of(dashboard)
@@ -119,28 +121,28 @@ def require_ready_for_program(address: str) -> None:
 
 
 SAFETY_WORDS: Final = {
-    "PROTECTIVE_STOP": "protective stop: the arm hit something, was pushed, was overloaded, or was led too hard; look "
-    "at the cause on the pendant, then call recover(), which unlocks it (5 s after the stop at the earliest)",
+    "PROTECTIVE_STOP": "protective stop: the arm hit something, was pushed or overloaded, or was moved too fast; check "
+    "the cause on the pendant, then call recover(), which unlocks it (5 s after the stop at the earliest)",
     "SAFEGUARD_STOP": "safeguard stop: a gate is open or a light curtain is broken; close it",
     "SYSTEM_EMERGENCY_STOP": "emergency stop from outside: release its button, then switch the arm on at the pendant",
     "ROBOT_EMERGENCY_STOP": "emergency stop: release the button, then switch the arm on at the pendant",
     "VIOLATION": "safety violation: read the message on the pendant and restart the safety system there",
     "FAULT": "safety fault: read the message on the pendant; switch the controller off and on",
-    "RECOVERY": "recovery mode: a joint is outside of its safety limits; bring it back at the pendant",
+    "RECOVERY": "recovery mode: a joint is outside its safety limits; move it back at the pendant",
 }
-"""What a safety status means, by the dashboard's names."""
+"""Meaning of a safety status, by the dashboard's names."""
 
 MODE_WORDS: Final = {
     "POWER_OFF": "the arm is switched off; switch it on at the pendant and release the brakes",
     "POWER_ON": "the arm is being switched on; wait, then release the brakes at the pendant",
     "IDLE": "the brakes are engaged; release them at the pendant (Start)",
-    "BACKDRIVE": "the joints are in backdrive; let go of the button of the pendant",
+    "BACKDRIVE": "the joints are in backdrive; release the button on the pendant",
     "BOOTING": "the arm is starting; wait",
-    "DISCONNECTED": "the controller does not reach the arm; look at the cable between them",
+    "DISCONNECTED": "the controller does not reach the arm; check the cable between them",
     "CONFIRM_SAFETY": "the pendant asks to confirm the safety configuration",
     "NO_CONTROLLER": "the controller's software is starting; wait",
 }
-"""What a robot mode means, by the dashboard's names."""
+"""Meaning of a robot mode, by the dashboard's names."""
 
 
 def status_of(dashboard: Dashboard) -> tuple[str, str]:
@@ -150,10 +152,10 @@ def status_of(dashboard: Dashboard) -> tuple[str, str]:
 
 
 def unlock(address: str, patience: float = 10.0) -> None:
-    """Unlock a protective stop, as soon as the controller lets itself be unlocked; nothing moves.
+    """Unlock a protective stop as soon as the controller permits, within `patience` [s]; nothing moves.
 
     Raises:
-        DeviceFault: It stays locked, or the arm is not ready for another reason; says what to do.
+        DeviceFault: It stays locked, or the arm is not ready for another reason; the message says what to do.
     """
     until = time.monotonic() + patience
     with Dashboard(address) as dashboard:
@@ -164,7 +166,7 @@ def unlock(address: str, patience: float = 10.0) -> None:
             time.sleep(0.1)
             safety, mode = status_of(dashboard)
         if safety == "PROTECTIVE_STOP":
-            raise DeviceFault(f"{address}: the protective stop stays: {answer}")
+            raise DeviceFault(f"{address}: the protective stop remains: {answer}")
         if safety not in ("NORMAL", "REDUCED"):
             raise DeviceFault(f"{address}: {SAFETY_WORDS.get(safety, f'the safety status is {safety}')}")
         if mode != "RUNNING":
@@ -172,7 +174,7 @@ def unlock(address: str, patience: float = 10.0) -> None:
 
 
 def _accepts(rtde: socket.socket, address: str, version: int, until: float) -> bool:
-    """Ask whether a version of RTDE is spoken."""
+    """Return True if the controller supports a version of RTDE."""
     rtde.sendall(struct.pack(">HBH", 5, ord("V"), version))
     data = b""
     while True:
@@ -183,9 +185,9 @@ def _accepts(rtde: socket.socket, address: str, version: int, until: float) -> b
             return data[3] == 1
         if size < 3:
             raise DeviceFault(
-                f"{address}: port {RTDE} answers {data[:20]!r}, which is no RTDE: this is no UR controller"
+                f"{address}: port {RTDE} answers {data[:20]!r}, which is not RTDE: this is not a UR controller"
             )
-        data = data[size:]  # a message in words comes before the answer
+        data = data[size:]  # a text message may precede the answer
 
 
 def _connect(address: str, port: int, patience: float) -> socket.socket:
@@ -193,13 +195,13 @@ def _connect(address: str, port: int, patience: float) -> socket.socket:
         return socket.create_connection((address, port), max(patience, 0.01))
     except TimeoutError as err:
         raise DeviceFault(
-            f"{address}: no answer on port {port} ({_PURPOSE[port]}); is the controller on, is its cable in, and is "
-            f"this computer in its network (ping {address})?"
+            f"{address}: no answer on port {port} ({_PURPOSE[port]}); check that the controller is on, its cable "
+            f"is plugged in, and this computer is in its network (ping {address})"
         ) from err
     except ConnectionRefusedError as err:
         raise DeviceFault(
-            f"{address}: nothing listens on port {port} ({_PURPOSE[port]}); is this the address of a UR controller "
-            "(Settings > System > Network), and is the service enabled (Settings > Security > Services)?"
+            f"{address}: nothing listens on port {port} ({_PURPOSE[port]}); check the address of the UR controller "
+            "(Settings > System > Network) and that the service is enabled (Settings > Security > Services)"
         ) from err
     except OSError as err:
         raise DeviceFault(f"{address}: port {port} ({_PURPOSE[port]}) cannot be reached: {err}") from err
@@ -211,8 +213,8 @@ def _receive(peer: socket.socket, address: str, port: int, until: float) -> byte
         data = peer.recv(4096)
     except TimeoutError as err:
         raise DeviceFault(
-            f"{address}: port {port} ({_PURPOSE[port]}) takes the connection and says nothing; the controller hangs or "
-            "is starting, or this is no UR controller"
+            f"{address}: port {port} ({_PURPOSE[port]}) accepts the connection but sends nothing; the controller hangs "
+            "or is starting, or this is not a UR controller"
         ) from err
     except OSError as err:
         raise DeviceFault(f"{address}: the connection to port {port} ({_PURPOSE[port]}) broke: {err}") from err
@@ -222,7 +224,7 @@ def _receive(peer: socket.socket, address: str, port: int, until: float) -> byte
 
 
 def stop_program(address: str) -> None:
-    """Have the controller end its program: the arm brakes at once.
+    """End the controller's program; the arm brakes at once.
 
     Raises:
         DeviceFault: The controller does not answer.

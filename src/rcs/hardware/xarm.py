@@ -1,8 +1,8 @@
-"""Arms of UFACTORY: the xArm7, with the vendor's library xarm-python-sdk.
+"""The xArm7 of UFACTORY, with the vendor's library xarm-python-sdk.
 
-`open` reads and switches nothing on. The first command enables the motors and enters servo mode, where the controller
-leads the joints to each point as soon as it comes; the limits of speed, acceleration and jerk are those of this side.
-A program that ends without a word leaves the arm at its last point.
+`open` only reads. The first command enables the motors and enters servo mode, in which the controller moves the joints
+to each setpoint at once; this side enforces the limits of speed, acceleration and jerk. If the program is killed, the
+arm stays at the last setpoint.
 """
 
 from __future__ import annotations
@@ -27,47 +27,47 @@ from rcs.spatial import Pose
 OPTIONS: Final = ("rate", "speed", "tcp", "tcp_speed")
 
 SPEED: Final = 0.12
-"""Share of the joint speeds, when the site says nothing: with it, no pose has the TCP faster than `FASTEST_TCP`, were
-all joints at full speed in the worst directions; the most of 10⁵ random poses with a tool of 0.2 m is 2.48 m/rad."""
+"""Default fraction of the joint speeds, at which the TCP stays below `FASTEST_TCP` in every pose, even with all joints
+at full speed in the worst directions: of 10⁵ random poses with a tool of 0.2 m, the worst has 2.48 m/rad."""
 FASTEST_TCP: Final = 0.95
-"""Of the TCP in servo mode [m/s]: the controller stops the arm at 1 to 1.2 m/s, by its firmware."""
+"""Largest speed of the TCP in servo mode [m/s]; the firmware stops the arm at 1 to 1.2 m/s."""
 TCP_SPEED: Final = 0.25
-"""Of the TCP on the way to a pose, when the site says nothing [m/s]: what ISO 10218-1 allows beside people."""
+"""Default speed of the TCP for poses [m/s]: the limit of ISO 10218-1 for teaching next to people."""
 TURN_PER_METRE: Final = 4.0
-"""How many radians the TCP may turn in the time of a metre [rad/m]; ours."""
+"""Ratio of the TCP's limits of rotation and translation [rad/m]; our choice."""
 TCP_ACCELERATION: Final = 1.2
-"""Of the TCP [m/s²]; ours."""
+"""Acceleration of the TCP [m/s²]; our choice."""
 AT_REST: Final = 1e-2
-"""Slower joints stand still [rad/s]."""
+"""Speed below which a joint stands still [rad/s]."""
 
 SILENCE: Final = 0.2
-"""For how long the controller may not answer before that is a fault [s]."""
+"""Time without an answer after which the arm is at fault [s]."""
 ASK_AGAIN: Final = 0.04
-"""After how long without an answer a measurement or a point is sent once more [s]: a packet may be lost."""
+"""Time without an answer after which a request or setpoint is repeated, as packets may be lost [s]."""
 SETTLING: Final = 0.1
-"""What the vendor's examples wait for after a change of the mode [s]."""
+"""Wait after a change of mode [s]; from the vendor's examples."""
 PATIENCE: Final = 1.0
-"""How long a change of the state may take [s]."""
+"""Timeout for a change of state [s]."""
 
 _STOPPED, _MOVING, _SERVO, _MANUAL = 4, 1, 1, 2
-_HAS_ERROR, _HAS_WARNING, _NO_ANSWER, _NOT_READY, _REFUSED = 1, 2, 3, 9, 10  # what the library's calls return
+_HAS_ERROR, _HAS_WARNING, _NO_ANSWER, _NOT_READY, _REFUSED = 1, 2, 3, 9, 10  # return codes of the library
 
 
 class XarmArm(StreamedArm):
-    """An xArm7 in servo mode: joints and, with a TCP, poses."""
+    """An xArm7 in servo mode, controlled by joints and, with a TCP, by poses."""
 
     def __init__(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> None:
-        """Describe the arm; `open` connects.
+        """Create the arm; `open` connects.
 
         Args:
             address: IP address of the controller.
-            about: Its figures.
-            options: `rate` of points [Hz]; `speed`, a share of the description's joint speeds; `tcp`, its pose in the
-                flange as translation [m] and quaternion xyzw, without which poses are not taken, and its largest
-                `tcp_speed` on the way to a pose [m/s].
+            about: Description of the arm.
+            options: `rate` of setpoints [Hz]; `speed`, a fraction of the description's joint speeds; `tcp`, the pose of
+                the TCP in the flange as translation [m] and quaternion xyzw, required for poses; `tcp_speed`, its limit
+                for poses [m/s].
 
         Raises:
-            InvalidSetup: There is no such option, or it makes no sense.
+            InvalidSetup: An option does not exist or has an invalid value.
         """
         require_fields("option of an xArm", options, OPTIONS)
         rate = _number(options, "rate", 250.0, 30.0, 250.0)
@@ -121,10 +121,10 @@ class XarmArm(StreamedArm):
         )
 
     def _ask(self, call: Callable[[], Any]) -> Any:
-        """Return what a call of the library returns, made again where no answer comes.
+        """Call the library, repeatedly if there is no answer, and return the result.
 
         Raises:
-            DeviceFault: There was none for `SILENCE`.
+            DeviceFault: There is no answer for `SILENCE` seconds.
         """
         self._api.set_timeout(ASK_AGAIN)
         try:
@@ -138,15 +138,15 @@ class XarmArm(StreamedArm):
             self._api.set_timeout(SILENCE)
 
     def _require_answer(self, code: int) -> None:
-        """Check that there was an answer to a call.
+        """Check that the controller has answered a call.
 
         Raises:
-            DeviceFault: There was none.
+            DeviceFault: It has not.
         """
         if code == _NO_ANSWER:
             raise DeviceFault(
                 f"the controller has not answered for {time.monotonic() - self._heard:.2f} s; it hangs, or the cable is"
-                " out. The arm stays at the last point that it got"
+                " unplugged. The arm stays at the last setpoint"
             )
         if code not in (0, _HAS_ERROR, _HAS_WARNING, _NOT_READY, _REFUSED):
             raise DeviceFault(f"the connection to the controller is lost (the library returns {code})")
@@ -157,7 +157,7 @@ class XarmArm(StreamedArm):
         return self._api is None or time.monotonic() - self._heard > SILENCE
 
     def _look(self) -> None:
-        """Enter the fault state for what the controller reports; what is measured stays readable."""
+        """Enter the fault state if the controller reports a fault; measurements stay readable."""
         if self._api.core.has_err_warn:
             _, (error, _) = self._ask(self._api.get_err_warn_code)
             self._trouble = _words(error) if error else ""
@@ -167,7 +167,7 @@ class XarmArm(StreamedArm):
             _, state = self._ask(self._api.get_state)
             if not self._api.core.state_is_ready:
                 self._trouble = STATE_WORDS.get(state, f"the state of the controller is {state}")
-        if self._trouble and not self._is_led and not self.fault:  # else `_send` tells
+        if self._trouble and not self._is_led and not self.fault:  # otherwise `_send` reports it
             self.set_fault(self._trouble)
 
     def _start(self) -> None:
@@ -183,15 +183,15 @@ class XarmArm(StreamedArm):
         self._is_led = True
 
     def _enter(self, mode: int) -> None:
-        """Enable the motors, and enter a mode.
+        """Enable the motors and enter a mode.
 
         Raises:
-            DeviceFault: The controller refuses; says why.
+            DeviceFault: The controller refuses; the message says why.
         """
         api = self._api
-        code = api.motion_enable(True)  # the library waits for 5 s: brakes take their time
+        code = api.motion_enable(True)  # the library waits 5 s for the brakes
         if code == _NO_ANSWER:
-            self._ask(api.get_state)  # the controller is there, then, and a packet was lost
+            self._ask(api.get_state)  # if it answers, only a packet was lost
             code = api.motion_enable(True)
         self._require_answer(code)
         if self._tcp is not None:
@@ -205,7 +205,7 @@ class XarmArm(StreamedArm):
             if self._trouble or time.monotonic() > until:
                 _, state = self._ask(api.get_state)
                 raise DeviceFault(
-                    f"{self._address}: the controller does not let the arm move: "
+                    f"{self._address}: the controller blocks the arm: "
                     + (self._trouble or STATE_WORDS.get(state, f"its state is {state}"))
                 )
             time.sleep(0.01)
@@ -219,8 +219,8 @@ class XarmArm(StreamedArm):
             speed = float(np.linalg.norm(place - self._place)) / self._period
             if speed > FASTEST_TCP:
                 raise DeviceFault(
-                    f"the TCP was to move at {speed:.2f} m/s, valid is at most {FASTEST_TCP:g} m/s in servo mode; lower"
-                    " the option `speed`, or lead the arm more slowly"
+                    f"the commanded speed of the TCP is {speed:.2f} m/s, valid is at most {FASTEST_TCP:g} m/s in servo"
+                    " mode; lower the option `speed`, or command slower motions"
                 )
         self._place, self._ramp, self._sent = place, None, joints
         self._send(self._api.set_servo_angle_j, joints.tolist())
@@ -235,7 +235,7 @@ class XarmArm(StreamedArm):
         return self._ramp.is_still and max(map(abs, rows[1])) < AT_REST
 
     def _servo_to(self, goal: Pose | None) -> None:
-        """Lead the TCP on by a tick."""
+        """Send the TCP's setpoint for the next tick."""
         if self._ramp is None:
             _, start = self._ask(lambda: self._api.get_position(is_radian=True))
             turn = TURN_PER_METRE
@@ -249,21 +249,21 @@ class XarmArm(StreamedArm):
         self._send(self._api.set_servo_cartesian, [*(1e3 * pose[:3]), *pose[3:]])
 
     def _send(self, call: Any, values: list[float]) -> None:
-        """Give the controller a point.
+        """Send a setpoint to the controller.
 
         Raises:
-            DeviceFault: It takes none any more; says why.
+            DeviceFault: The controller takes no setpoints any more; the message says why.
         """
         if self._trouble:
             raise DeviceFault(self._trouble)
         code = self._ask(lambda: call(values, is_radian=True))
         if code in (_HAS_ERROR, _NOT_READY, _REFUSED):
             self._look()
-            raise DeviceFault(self._trouble or f"the controller refuses a point (the library returns {code})")
+            raise DeviceFault(self._trouble or f"the controller refuses a setpoint (the library returns {code})")
 
     def _stop(self) -> None:
         self._is_led = self._is_given_way = False
-        if not self._is_silent:  # else it stands at the last point
+        if not self._is_silent:  # otherwise the arm stands at the last setpoint
             self._ask(lambda: self._api.set_state(_STOPPED))
 
     def _can_guide(self) -> bool:
@@ -284,8 +284,8 @@ class XarmArm(StreamedArm):
         self._ask(api.clean_warn)
         _, (error, _) = self._ask(api.get_err_warn_code)
         if error:
-            raise DeviceFault(f"the error stays: {_words(error)}")
-        self._ask(lambda: api.set_state(_STOPPED))  # points from before the fault do not count
+            raise DeviceFault(f"the error remains: {_words(error)}")
+        self._ask(lambda: api.set_state(_STOPPED))  # discard setpoints from before the fault
         self._trouble = ""
 
     def _close(self) -> None:
@@ -299,7 +299,7 @@ class XarmArm(StreamedArm):
 
 
 class XarmDriver(Driver):
-    """Reaches arms of UFACTORY, and Robotiq grippers at their flange, by the IP address of the controller."""
+    """Driver of UFACTORY's arms, and of Robotiq grippers at their flange, at the IP address of the controller."""
 
     hosted = True
 
@@ -310,12 +310,12 @@ class XarmDriver(Driver):
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> Gripper:
         """Return a Robotiq gripper at the flange; nothing is connected."""
         if not about.name.startswith("robotiq"):
-            raise InvalidSetup(f"The driver xarm reaches grippers of Robotiq, not {about.name!r}; name another driver.")
+            raise InvalidSetup(f"The driver xarm supports grippers of Robotiq, not {about.name!r}; use another driver.")
         return RobotiqGripper(address, about, options, XarmTool)
 
 
 def _words(error: int) -> str:
-    """Return what an error of the controller means."""
+    """Return the meaning of a controller error."""
     return f"C{error}: {CODE_WORDS.get(error, 'see the manual of the xArm')}"
 
 

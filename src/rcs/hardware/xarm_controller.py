@@ -1,7 +1,7 @@
-"""What an xArm controller says of itself, and how it is reached: by a plain socket, by the library, up to the flange.
+"""Connections to an xArm controller and its flange, its checks on a plain socket, and the meaning of its errors.
 
-The vendor's library waits for more than three minutes on a peer that says nothing, so port 502 is tried here before it
-is given the address.
+The vendor's library waits more than three minutes for a silent peer. Therefore port 502 is tested here before the
+library connects.
 """
 
 from __future__ import annotations
@@ -23,53 +23,53 @@ from rcs.hardware.robotiq_lines import FIRST_INPUT, FIRST_OUTPUT, MODBUS_DEVICE,
 
 PORT: Final = 502
 PATIENCE: Final = 1.5
-"""How long the controller may take to answer [s]."""
+"""Timeout for the controller's answers [s]."""
 OLDEST: Final = (1, 9, 0)
-"""The first firmware that tells the speeds of the joints."""
+"""First firmware version that reports joint speeds."""
 AXES: Final = 7
 TOOL_PATIENCE: Final = 0.1
-"""How long the line at the flange may take to answer [s]."""
+"""Timeout for answers on the line at the flange [s]."""
 
 CODE_WORDS: Final = {
     1: "emergency stop: release the button on the control box, then call recover()",
     2: "the emergency input of the control box is open: close it, then call recover()",
     3: "emergency stop of the three-state switch: release it, then call recover()",
-    10: "the servos report an error, as when their supply fails: look at power and cable; then call recover()",
-    **{10 + n: f"joint{n} reports an error: see what loads or blocks it, let it cool down; then call recover()"
+    10: "the servos report an error, such as a failed supply: check power and cable, then call recover()",
+    **{10 + n: f"joint{n} reports an error: check what loads or blocks it, let it cool down, then call recover()"
        for n in range(1, 8)},
-    18: "the force sensor does not answer: look at its cable",
-    19: "the end effector does not answer: look at its cable and its baud rate",
-    21: "no joints for a pose: it is out of reach, or the arm is stretched out",
+    18: "the force sensor does not answer: check its cable",
+    19: "the end effector does not answer: check its cable and its baud rate",
+    21: "no inverse kinematics solution: the pose is out of reach, or the arm is stretched out",
     22: "the arm would hit itself",
-    23: "a joint is at the end of its range: bring it back in UFACTORY Studio (Live Control), in manual mode",
-    24: "a joint was led too fast; lower the option `speed`, and look whether this machine is too busy",
+    23: "a joint is at the end of its range: move it back in UFACTORY Studio (Live Control), in manual mode",
+    24: "a joint was commanded too fast; lower the option `speed`, and check whether this machine is too busy",
     25: "the controller cannot plan a motion",
     26: "the controller's computer is too late: switch it off and on",
-    27: "the controller got no answer inside of the control box: switch it off and on",
+    27: "the controller got no answer inside the control box: switch it off and on",
     28: "the board at the flange does not answer: switch the control box off and on",
-    30: "a joint measured itself as too fast: something pushed it, or its servo is broken",
-    31: "collision: the arm hit something, was pushed, or carries another load than the controller knows; look at the "
-    "cause, at the payload (UFACTORY Studio) and at the collision sensitivity, then call recover()",
+    30: "a joint measured too high a speed: something pushed it, or its servo is broken",
+    31: "collision: the arm hit something, was pushed, or carries another load than the controller knows; check the "
+    "cause, the payload (UFACTORY Studio) and the collision sensitivity, then call recover()",
     35: "the arm is at the safety boundary that is set in UFACTORY Studio",
     37: "the arm moved by itself in manual mode: set payload and mounting in UFACTORY Studio",
-    38: "a joint measures nonsense: switch the control box off, and ask the vendor",
-    60: "the TCP was led faster than servo mode allows; lower the option `speed`",
+    38: "a joint's measurement is implausible: switch the control box off and ask the vendor",
+    60: "the TCP was commanded faster than servo mode allows; lower the option `speed`",
 }  # fmt: skip
-"""What errors of the controller mean, by their numbers; vendor's manual."""
+"""Meaning of the controller's errors, by number; vendor's manual."""
 
 STATE_WORDS: Final = {
-    3: "somebody has paused the arm (state 3), at UFACTORY Studio or in another program",
-    4: "somebody has stopped the arm (state 4), at UFACTORY Studio or in another program",
-    5: "somebody has changed the mode or a setting (state 5), at UFACTORY Studio or in another program",
+    3: "the arm was paused (state 3), in UFACTORY Studio or by another program",
+    4: "the arm was stopped (state 4), in UFACTORY Studio or by another program",
+    5: "the mode or a setting was changed (state 5), in UFACTORY Studio or by another program",
 }
-"""What it means that the controller moves nothing any more, by its state; vendor's manual."""
+"""Reason why the controller does not move the arm, by state; vendor's manual."""
 
 
 def require_controller(address: str) -> None:
-    """Check that the controller of an xArm7 answers, with a firmware that is new enough.
+    """Check that the controller of an xArm7 answers and that its firmware is recent enough.
 
     Raises:
-        DeviceFault: It does not; says what to look at. At most after `PATIENCE`.
+        DeviceFault: It does not, within `PATIENCE` seconds; the message says what to check.
     """
     until = time.monotonic() + PATIENCE
     try:
@@ -77,19 +77,19 @@ def require_controller(address: str) -> None:
             told = _ask_version(peer, address, until)
     except TimeoutError as err:
         raise DeviceFault(
-            f"{address}: no answer on port {PORT}; is the control box on, is its cable in, is this computer in its "
-            f"network (ping {address}), and is this the address of an xArm?"
+            f"{address}: no answer on port {PORT}; check that the control box is on, its cable is plugged in, this "
+            f"computer is in its network (ping {address}), and this is the address of an xArm"
         ) from err
     except ConnectionRefusedError as err:
         raise DeviceFault(
-            f"{address}: nothing listens on port {PORT}; is this the address of an xArm (it is on a sticker on the "
-            "control box), and has it started (a minute after it is switched on)?"
+            f"{address}: nothing listens on port {PORT}; check the address of the xArm (it is on a sticker on the "
+            "control box) and that it has started (a minute after it is switched on)"
         ) from err
     except OSError as err:
         raise DeviceFault(f"{address}: port {PORT} cannot be reached: {err}") from err
     found = re.search(r"(\d+)\.(\d+)\.(\d+)", told)
     if found is None:
-        raise DeviceFault(f"{address}: port {PORT} answers {told[:60]!r}, which names no firmware: this is no xArm")
+        raise DeviceFault(f"{address}: port {PORT} answers {told[:60]!r}, which names no firmware: this is not an xArm")
     firmware = tuple(map(int, found.groups()))
     if firmware < OLDEST:
         raise DeviceFault(
@@ -98,7 +98,7 @@ def require_controller(address: str) -> None:
         )
     axes = re.match(r"(\d+),", told)
     if axes is not None and int(axes[1]) != AXES:
-        raise DeviceFault(f"{address}: the arm there has {axes[1]} joints, an xArm7 has {AXES}: is this another arm?")
+        raise DeviceFault(f"{address}: the arm there has {axes[1]} joints, an xArm7 has {AXES}; check the address")
 
 
 def _ask_version(peer: socket.socket, address: str, until: float) -> str:
@@ -110,19 +110,19 @@ def _ask_version(peer: socket.socket, address: str, until: float) -> str:
             received = peer.recv(4096)
         except TimeoutError as err:
             raise DeviceFault(
-                f"{address}: port {PORT} takes the connection and says nothing; the controller hangs or is starting, or"
-                " this is no xArm"
+                f"{address}: port {PORT} accepts the connection but sends nothing; the controller hangs or is starting,"
+                " or this is not an xArm"
             ) from err
         if not received:
-            raise DeviceFault(f"{address}: port {PORT} closed the connection; is this an xArm?")
+            raise DeviceFault(f"{address}: port {PORT} closed the connection; check that this is an xArm")
         data += received
         if struct.unpack(">H", data[2:4].ljust(2, b"\0"))[0] != 2 and len(data) >= 4:
-            raise DeviceFault(f"{address}: port {PORT} answers {data[:20]!r}: this is no xArm")
+            raise DeviceFault(f"{address}: port {PORT} answers {data[:20]!r}: this is not an xArm")
     return data[8:].rstrip(b"\0").decode("ascii", "replace")
 
 
 def others_on(address: str) -> str:
-    """Return which other programs of this machine are connected to a controller, in words."""
+    """Return a description of the other programs that are connected to a controller."""
     wanted = struct.unpack("=I", socket.inet_aton(socket.gethostbyname(address)))[0]
     sockets = {
         words[9]
@@ -136,23 +136,23 @@ def others_on(address: str) -> str:
             if links & {f"socket:[{one}]" for one in sockets} and process.name != str(Path("/proc/self").readlink()):
                 program = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
                 found.append(f"process {process.name} ({program[:80]})")
-        except OSError:  # it has ended, or is another user's
+        except OSError:  # it has ended or belongs to another user
             continue
     return " or ".join(found) or "on another machine, or UFACTORY Studio"
 
 
 def connect(address: str) -> Any:
-    """Return the library's connection to a controller that answers.
+    """Return the library's connection to a controller that has answered.
 
-    It has no stream of reports: each answer to a command tells of errors, too.
+    It does not subscribe to reports, since each answer to a command contains errors, too.
 
     Raises:
         MissingDependency: The library is not installed.
-        DeviceFault: The controller does not answer any more.
+        DeviceFault: The controller no longer answers.
     """
     with _quietly():
         library = package_of("xarm", "xarm.wrapper", "The driver `xarm` needs")
-        # It prints to the program's output what its calls return, too, and that the mode is unknown at each point.
+        # The library also prints return values, and a warning about the mode for each setpoint.
         package_of("xarm", "xarm.core.utils.log", "The driver `xarm` needs").logger.setLevel(logging.CRITICAL)
         logging.getLogger("origin.print").setLevel(logging.CRITICAL)
         api = library.XArmAPI(
@@ -166,14 +166,14 @@ def connect(address: str) -> Any:
         )
         try:
             api.connect()
-        except Exception as err:  # the library raises no other kind
+        except Exception as err:  # the library raises plain exceptions
             raise DeviceFault(f"{address}: {err}") from err
     return api
 
 
 @contextlib.contextmanager
 def _quietly() -> Generator[None]:
-    """Log what the library prints, and undo that it gives all new sockets of the program a timeout."""
+    """Log the library's output, and undo its change of the program's default socket timeout."""
     timeout, said = socket.getdefaulttimeout(), io.StringIO()
     try:
         with contextlib.redirect_stdout(said):
@@ -185,13 +185,13 @@ def _quietly() -> Generator[None]:
 
 
 class XarmTool:
-    """A Robotiq gripper on the line at the flange, through a connection of its own: no point waits for the gripper."""
+    """Transport to a Robotiq gripper at the flange, on its own connection so that no setpoint waits for it."""
 
     def __init__(self, address: str) -> None:
         """Connect.
 
         Raises:
-            DeviceFault: No controller answers; says what to look at.
+            DeviceFault: No controller answers; the message says what to check.
         """
         require_controller(address)
         self._address = address
@@ -217,8 +217,8 @@ class XarmTool:
         code, answer = self._api.set_rs485_data(list(frame), min_res_len=size)
         if code != 0 or len(answer) < size or answer[1] != frame[1]:
             raise DeviceFault(
-                f"{self._address}: the gripper does not answer through the controller (the library returns {code}); has"
-                " it 24 V, is its cable in, and is the line at the flange set to 115200 baud (UFACTORY Studio,"
-                " Settings, Externals)?"
+                f"{self._address}: the gripper does not answer through the controller (the library returns {code});"
+                " check its 24 V supply, its cable, and that the line at the flange is set to 115200 baud (UFACTORY"
+                " Studio, Settings, Externals)"
             )
         return bytes(answer)

@@ -1,4 +1,4 @@
-"""Robots that are simulated behind the interfaces of real ones, with delay and noise."""
+"""Virtual robots: simulated robots behind the interfaces of real ones, with delay and noise."""
 
 from rcs_data.lazy import load_on_use
 

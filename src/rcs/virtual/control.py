@@ -1,6 +1,6 @@
-"""How a virtual robot is told of faults, and asked: a datagram on a socket of this machine, open to its user alone.
+"""The control socket of a virtual robot, through which it receives faults and questions.
 
-The socket has a name without a file (Linux's abstract names), which ends with the process.
+It is a datagram socket with an abstract Unix name of this user, which disappears with the process.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from typing import Any
 from rcs.errors import InvalidSetup, RcsError, UnknownName
 
 PATIENCE = 3.0
-"""How long a robot that is told something may take to answer [s]."""
+"""Timeout for the answer of a virtual robot [s]."""
 _MOST = 65536
 _CREDENTIALS = struct.Struct("3i")
 
 
 class Control:
-    """The end at which a virtual robot is told something."""
+    """The virtual robot's end of its control socket."""
 
     def __init__(self, wanted: str) -> None:
-        """Take a name: the wanted one, or one with a number where it is taken."""
+        """Bind a name: the wanted one, with a number appended if it is taken."""
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
         number = 1
@@ -38,10 +38,10 @@ class Control:
                 number += 1
 
     def answer(self, act: Callable[[list[str]], str]) -> None:
-        """Do what has been asked for, if anything, and send what there is to say.
+        """Execute a pending request, if any, and send the answer.
 
         Args:
-            act: Takes the words, and returns the answer; its `RcsError` goes back in the answer's place.
+            act: Executes the words and returns the answer; if it raises an `RcsError`, the error is sent instead.
         """
         try:
             packet, extra, _, sender = self.socket.recvmsg(_MOST, socket.CMSG_SPACE(_CREDENTIALS.size))
@@ -57,28 +57,28 @@ class Control:
             reply = {"error": str(err)}
         try:
             self.socket.sendto(json.dumps(reply).encode(), sender)
-        except OSError:  # who asked is gone
+        except OSError:  # the sender has ended
             return
 
     def close(self) -> None:
-        """Give the name back; closing twice is harmless."""
+        """Release the name; closing twice is harmless."""
         self.socket.close()
 
 
 def tell(name: str, words: Sequence[str]) -> str:
-    """Tell a virtual robot something, wait until it is done, and return the answer, which is empty for most.
+    """Send a fault or question to a virtual robot, wait until it is done, and return the answer, "" for faults.
 
     Args:
-        name: Name of the robot, as `rcs virtual` prints it; of one of several, `name/robot`.
+        name: Name of the robot, as `rcs virtual` prints it; `name/robot` for one of several.
         words: A fault and its value, such as `("lose", "3")`, or a question, such as `("judge",)`.
 
     Raises:
-        UnknownName: No such virtual robot runs, or it has no such fault; the message has the valid ones.
+        UnknownName: No such virtual robot is running, or it has no such fault; the message lists the valid ones.
         InvalidSetup: The robot refuses, or does not answer.
     """
     process, _, robot = name.partition("/")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own:
-        own.bind("")  # a name that the system chooses, to answer to
+        own.bind("")  # a name of the system's choice, for the answer
         own.settimeout(PATIENCE)
         try:
             own.connect(_address(process))
@@ -95,7 +95,7 @@ def tell(name: str, words: Sequence[str]) -> str:
 
 
 def running() -> list[str]:
-    """Return the names of the virtual robots that run."""
+    """Return the names of the running virtual robots."""
     start = "@" + _address("")[1:]
     words = [line.split()[-1] for line in Path("/proc/net/unix").read_text().splitlines()[1:]]
     return sorted({word.removeprefix(start) for word in words if word.startswith(start)})

@@ -1,4 +1,4 @@
-"""What a virtual robot is told to go wrong with, such as `freeze 2` or `late 60/100`."""
+"""Faults of virtual robots, such as `freeze 2` or `late 60/100`."""
 
 from __future__ import annotations
 
@@ -18,52 +18,53 @@ GENERIC: Mapping[str, str] = {
     "reset": "SEED",
     "clear": "",
 }
-"""What every virtual robot knows, and the value of each: `freeze` has the controller hang for S seconds; after `cut`
-nothing passes the cable; `late` delays what is sent by MS milliseconds; `lose` and `corrupt` are for the next N
-packets; with a slash, it is one packet in N, by chance, until `clear`; `push` presses on the TCP with a force [N] along
-the axes of the base, until `clear`; `reset` places the objects as a seed says;
-`clear` mends all."""
+"""Faults of every virtual robot, with their values: `freeze` makes the controller hang for S seconds; `cut` cuts the
+cable; `late` delays sent packets by MS milliseconds; `lose` and `corrupt` affect the next N packets; with a slash, a
+fault affects one packet in N, at random, until `clear`; `push` applies a force [N] at the TCP along the axes of the
+base until `clear`; `reset` places the objects according to a seed; `clear` ends all faults."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """One thing to go wrong."""
+    """A fault with its value."""
 
     name: str
-    """What goes wrong, such as `lose`."""
+    """Name of the fault, such as `lose`."""
     value: str = ""
-    """How much, or where, as it was told."""
+    """Amount or place, as given."""
 
     @property
     def number(self) -> float:
-        """The value as a number, finite and not negative.
+        """The value as a finite, non-negative number.
 
         Raises:
-            InvalidSetup: It is none.
+            InvalidSetup: The value is not such a number.
         """
         return self._numbers()[0]
 
     @property
     def force(self) -> tuple[float, float, float]:
-        """Three finite numbers.
+        """The value as a force: three finite numbers.
 
         Raises:
-            InvalidSetup: They are none.
+            InvalidSetup: The value is not three finite numbers.
         """
         try:
             x, y, z = map(float, self.value.split())
         except ValueError:
             x = y = z = math.nan
         if not all(map(math.isfinite, (x, y, z))):
-            raise InvalidSetup(f"{self.name} is told with {self.value!r}; valid is {GENERIC[self.name]}, finite.")
+            raise InvalidSetup(
+                f"The value of {self.name} is {self.value!r}; valid is {GENERIC[self.name]}, three finite numbers."
+            )
         return x, y, z
 
     @property
     def share(self) -> float:
-        """One packet in how many: N of a value `X/N`, else 0 for a value without a slash.
+        """N of a value `X/N`, which affects one packet in N; 0 for a value without a slash.
 
         Raises:
-            InvalidSetup: It is no number.
+            InvalidSetup: N is not a number of at least 1.
         """
         return self._numbers()[1]
 
@@ -75,21 +76,21 @@ class Fault:
             numbers = (math.nan, math.nan)
         if not all(math.isfinite(one) and one >= 0 for one in numbers) or (slash and numbers[1] < 1):
             raise InvalidSetup(
-                f"{self.name} is told with {self.value!r}; valid is {GENERIC.get(self.name, 'a number')}."
+                f"The value of {self.name} is {self.value!r}; valid is {GENERIC.get(self.name, 'a number')}."
             )
         return numbers
 
     @staticmethod
     def parse(words: Sequence[str], known: Mapping[str, str]) -> Fault:
-        """Return the fault of some words, such as `["late", "60/100"]`.
+        """Return a fault from words such as `["late", "60/100"]`.
 
         Args:
-            words: Its name, and its value where it has one.
-            known: The faults that are possible, and what each takes; empty for nothing.
+            words: Name of the fault and its value, if it takes one.
+            known: The possible faults with a description of their values; empty for faults without a value.
 
         Raises:
-            UnknownName: There is no such fault; the message has the valid ones.
-            InvalidSetup: A value is missing, or there is one too many.
+            UnknownName: There is no such fault; the message lists the valid ones.
+            InvalidSetup: There are too few or too many values.
         """
         name, *values = words or [""]
         if name not in known:

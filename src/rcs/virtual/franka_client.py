@@ -1,4 +1,4 @@
-"""A port of a Franka controller: one client at a time, its requests by TCP, states and commands by UDP."""
+"""A port of a Franka controller, which serves one client: requests by TCP, states and commands by UDP."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from rcs.virtual.line import Line
 from rcs.virtual.wire import taken
 
 MOST_BYTES = 4096
-"""A longer message is none."""
+"""Maximum length of a message; longer ones are invalid."""
 LEAST_TIME = 0.5e-3
-"""Time that a client has to answer a state [s]: after less, its silence does not count. A virtual arm that was held up
-catches up with states in a row."""
+"""Minimum time that a client has to answer a state [s]; within it, a missing answer does not count, since a delayed
+virtual arm sends several states in a row to catch up."""
 
 
 class Client:
-    """Whoever talks to a port."""
+    """The client of a port."""
 
     def __init__(self, connected: socket.socket, line: Line, header: np.dtype[np.void]) -> None:
-        """Take over a connection."""
+        """Use an accepted connection."""
         connected.setblocking(False)
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.tcp = connected
@@ -40,16 +40,16 @@ class Client:
 
     @property
     def is_connected(self) -> bool:
-        """Whether it has introduced itself."""
+        """True after the client has sent its connect request."""
         return self._port != 0
 
     @property
     def had_time(self) -> bool:
-        """Whether it had time to answer the last state."""
+        """True if the client has had time to answer the last state."""
         return time.monotonic() - self._sent_at >= LEAST_TIME
 
     def connect(self, port: int) -> None:
-        """Send states to a port."""
+        """Set the UDP port of the client's states."""
         self._port = port
 
     def reply(self, command: int, number: int, content: bytes) -> None:
@@ -57,7 +57,7 @@ class Client:
         header = np.array((command, number, self._header.itemsize + len(content)), self._header)
         try:
             self.tcp.sendall(header.tobytes() + content)
-        except OSError:  # gone, or deaf: its socket tells when it is read
+        except OSError:  # the client is gone or does not read; reading its socket reveals it
             return
 
     def send_datagram(self, state: bytes) -> None:
@@ -66,7 +66,7 @@ class Client:
         self._line.send(state, self._send_datagram)
 
     def read_datagrams(self) -> None:
-        """Keep the newest command."""
+        """Read commands and keep the newest."""
         while True:
             try:
                 datagram = self.udp.recv(MOST_BYTES)
@@ -82,19 +82,19 @@ class Client:
         return datagram
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self.tcp.close()
         self.udp.close()
 
     def _send_datagram(self, state: bytes) -> None:
         try:
             self.udp.sendto(state, (self._host, self._port))
-        except OSError:  # nobody there
+        except OSError:  # the client is gone
             return
 
 
 class Listener:
-    """Listens for a client. While there is one, others wait."""
+    """Listens for a client. While one is connected, others wait."""
 
     def __init__(
         self, line: Line, address: str, port: int, header: np.dtype[np.void], requests: Mapping[int, np.dtype[np.void]]
@@ -102,11 +102,11 @@ class Listener:
         """Listen.
 
         Args:
-            line: What packets pass.
+            line: Line that all packets pass.
             address: An IP address of this machine.
             port: TCP port.
-            header: What every message begins with.
-            requests: What follows, by command.
+            header: Type of the header of every message.
+            requests: Types of the content after the header, by command.
 
         Raises:
             InvalidSetup: The port is taken.
@@ -120,13 +120,13 @@ class Listener:
         self._socket.setblocking(False)
 
     def files(self) -> Sequence[socket.socket]:
-        """Return what can be read."""
+        """Return the sockets to read from."""
         if self._line.is_cut:
             return []
         return [self._socket] if self.client is None else [self.client.tcp, self.client.udp]
 
     def receive(self, file: socket.socket, command: np.dtype[np.void] | None = None) -> Iterator[tuple[int, int, Any]]:
-        """Read, and yield the requests that are whole: command, number, and what follows the header."""
+        """Read from a socket and yield complete requests as (command, number, content)."""
         client = self.client
         if file is self._socket:
             self.client = Client(self._socket.accept()[0], self._line, self._header)
@@ -142,7 +142,7 @@ class Listener:
             if not data:
                 self.hang_up()
                 return
-            client.received += data  # TCP makes up for what is lost
+            client.received += data  # TCP repeats lost packets
             yield from self._requests_of(client)
 
     def hang_up(self) -> None:
@@ -152,7 +152,7 @@ class Listener:
             self.client = None
 
     def close(self) -> None:
-        """Listen no more; closing twice is harmless."""
+        """Stop listening; closing twice is harmless."""
         self.hang_up()
         self._socket.close()
 
@@ -162,7 +162,7 @@ class Listener:
             header = np.frombuffer(bytes(client.received[:size]), self._header)[0]
             length, kind = int(header["size"]), self._requests.get(int(header["command"]))
             wanted = size + (0 if kind is None else kind.itemsize)
-            if length != wanted:  # not of this protocol: a real controller ends the connection
+            if length != wanted:  # another protocol: a real controller ends the connection
                 self.hang_up()
                 return
             if len(client.received) < length:

@@ -1,4 +1,4 @@
-"""External forces as a Franka controller estimates them, and the thresholds of contacts and collisions."""
+"""A Franka controller's estimates of external forces, and its thresholds for contacts and collisions."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from rcs.spatial import Pose
 from rcs.virtual.franka_messages import Error
 
 LOAD_FILTER = 0.05
-"""Share of the newest external force in the filtered one, a low-pass of about 8 Hz; the vendor publishes no figure."""
+"""Weight of the newest external force in the filtered one, a low-pass of about 8 Hz; our choice."""
 CONTACT, COLLISION = 0, 1
-"""Rows of thresholds."""
+"""Rows of the arrays of thresholds."""
 REGIMES = ("acceleration", "nominal")
 """The regimes of the vendor's thresholds; the larger ones count."""
 
@@ -22,38 +22,38 @@ Vector = NDArray[np.float64]
 
 
 class ExternalForces:
-    """Filtered external torques of the joints and the wrench at the TCP, as the arm applies them to others."""
+    """Filtered joint torques and TCP wrench that the arm exerts on its environment."""
 
     def __init__(self, loads: SimLoads) -> None:
         """Start without forces and without thresholds.
 
         Args:
-            loads: Forces on the simulated arm.
+            loads: Loads on the simulated arm.
         """
         self._loads = loads
         self._torques, self._wrench = np.zeros(7), np.zeros(6)
         self._torque_thresholds, self._force_thresholds = np.full((2, 7), np.inf), np.full((2, 6), np.inf)
         self.collided, self._collided_tool = np.zeros(7), np.zeros(6)
-        """Whether a joint has collided since the last recovery, 1 or 0, shape (7,)."""
+        """1 for each joint that has collided since the last recovery, else 0, shape (7,)."""
 
     def measure(self, jacobian: Vector) -> None:
-        """Filter what is measured now.
+        """Filter the present measurement.
 
         Args:
             jacobian: Jacobian of the TCP in the base, shape (6, 7).
         """
-        tool = self._loads.tcp_wrench  # on the arm; the controller says what the arm applies to others
+        tool = self._loads.tcp_wrench  # on the arm; the controller reports the opposite
         self._wrench += LOAD_FILTER * (-tool - self._wrench)
         self._torques += LOAD_FILTER * (-jacobian.T @ tool - self._torques)
 
     def set_thresholds(self, request: Any) -> None:
-        """Take the thresholds of a request of the vendor's `SetCollisionBehavior` [N·m, N]."""
+        """Set the thresholds of a `SetCollisionBehavior` request [N·m, N]."""
         for row, bound in ((CONTACT, "lower"), (COLLISION, "upper")):
             self._torque_thresholds[row] = np.max([request[f"{bound}_torque_{name}"] for name in REGIMES], axis=0)
             self._force_thresholds[row] = np.max([request[f"{bound}_force_{name}"] for name in REGIMES], axis=0)
 
     def collisions(self) -> list[Error]:
-        """Return the errors of forces above the upper thresholds, and remember them."""
+        """Return errors for forces above the upper thresholds and store the collisions."""
         joints = np.abs(self._torques) > self._torque_thresholds[COLLISION]
         tool = np.abs(self._wrench) > self._force_thresholds[COLLISION]
         self.collided = np.maximum(self.collided, joints)
@@ -61,7 +61,7 @@ class ExternalForces:
         return [Error.JOINT_REFLEX] * bool(joints.any()) + [Error.CARTESIAN_REFLEX] * bool(tool.any())
 
     def forget_collisions(self) -> None:
-        """Forget the collisions so far."""
+        """Clear the stored collisions."""
         self.collided[:] = self._collided_tool[:] = 0.0
 
     def write(self, state: NDArray[np.void], pose: Pose) -> None:

@@ -1,8 +1,8 @@
-"""What a Franka controller makes of the commands of each millisecond, and which it refuses.
+"""A Franka controller's interpretation of the commands of each millisecond, and its checks.
 
-The conditions are those that the vendor's "Control Interface Specification and Robot Limits" calls necessary: whoever
-breaks one is stopped. A client computes from states in `float32` and smooths with a low-pass, so commands that keep the
-limits elsewhere have a little more of acceleration and jerk here: `TOLERANCE` and `JERK_TOLERANCE` leave room for it.
+The checks are the necessary conditions of the vendor's "Control Interface Specification and Robot Limits"; a client
+that violates one is stopped. Clients compute from states in `float32` and apply a low-pass, so commands within their
+own limits have slightly larger accelerations and jerks here; `TOLERANCE` and `JERK_TOLERANCE` allow for that.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ PERIOD: Final = 1e-3
 TOLERANCE: Final = 1.05
 JERK_TOLERANCE: Final = 1.5
 START_TOLERANCE: Final = 1e-3
-"""By how much a motion may begin beside the last position that was commanded [rad, m]."""
+"""Largest distance between the start of a motion and the last commanded position [rad, m]."""
 TORQUE_RATE: Final = 1000.0
-"""N·m/s; libfranka, rate_limiting.h, as the next."""
+"""Limit of the torque rate [N·m/s]; libfranka, rate_limiting.h."""
 CARTESIAN_LIMITS: Final = ((3.0, 9.0, 4500.0), (2.5, 17.0, 8500.0))
-"""Velocity, acceleration and jerk of the TCP: translation [m/s, m/s², m/s³], rotation [rad/s, rad/s², rad/s³]."""
+"""Limits of the TCP: translation [m/s, m/s², m/s³] and rotation [rad/s, rad/s², rad/s³]; rate_limiting.h."""
 
 _JOINT_ERRORS = (
     Error.JOINT_MOTION_GENERATOR_POSITION_LIMITS_VIOLATION,
@@ -51,17 +51,17 @@ Vector = NDArray[np.float64]
 
 
 class MotionGenerator:
-    """The joints that a client commands, as positions or velocities of the joints or of the TCP.
+    """Computes the commanded joints from a client's positions or velocities of the joints or the TCP.
 
     Attributes:
-        joints: Commanded joints [rad], (7,).
-        velocities: Their velocities [rad/s], (7,).
-        accelerations: Their accelerations [rad/s²], (7,).
-        pose: The commanded TCP in the frame of the base.
+        joints: Commanded joint positions [rad], shape (7,).
+        velocities: Commanded joint velocities [rad/s], shape (7,).
+        accelerations: Commanded joint accelerations [rad/s²], shape (7,).
+        pose: Commanded pose of the TCP in the base.
     """
 
     def __init__(self, mode: GeneratorMode, arm: ArmDescription, kinematics: Kinematics, joints: Vector) -> None:
-        """Begin at rest at joints [rad], (7,), the last that were commanded."""
+        """Start at rest at the last commanded joint positions [rad], shape (7,)."""
         self.mode = mode
         self.joints = joints.copy()
         self.velocities, self.accelerations = np.zeros(7), np.zeros(7)
@@ -69,15 +69,15 @@ class MotionGenerator:
         self._twist, self._twist_change = np.zeros(6), np.zeros(6)
         self._arm, self._kinematics = arm, kinematics
         self._has_begun = False
-        self._taken = (self.joints, self.velocities, self.accelerations, self.pose)  # with the last command
+        self._taken = (self.joints, self.velocities, self.accelerations, self.pose)  # at the last command
 
     def take(self, command: Any, ticks: int = 1) -> list[Error]:
-        """Follow a command, and return what is wrong with it; then the arm is to be stopped.
+        """Follow a command and return its errors; if there are any, the caller must stop the arm.
 
         Args:
             command: An `ARM_COMMAND`.
-            ticks: For how many milliseconds after the last command it is. For those without a command, the arm is taken
-                to have gone on at the same acceleration.
+            ticks: Number of milliseconds since the last command. During those without a command, the arm is assumed to
+                have continued at the same acceleration.
         """
         self.joints, self.velocities, self.accelerations, self.pose = self._taken
         for _ in range(ticks - 1):
@@ -121,7 +121,7 @@ class MotionGenerator:
         return errors
 
     def extrapolate(self) -> None:
-        """Go on for a millisecond without a command, at the same acceleration of the joints."""
+        """Continue for a millisecond without a command at the same joint acceleration."""
         if not self._has_begun:
             return
         self.velocities = self.velocities + self.accelerations * PERIOD
@@ -129,7 +129,7 @@ class MotionGenerator:
         self.pose = self._kinematics.forward(self.joints)
 
     def _inverse(self, elbow: float | None) -> Vector:
-        """Return joints for the pose [rad], (7,), a step from the last ones; the third joint stays, or is led."""
+        """Return joint positions [rad], shape (7,), for the pose near the last; the third joint stays unless given."""
         jacobian = np.vstack([self._kinematics.jacobian(self.joints), np.eye(7)[2]])
         way = _difference(self.pose, self._kinematics.forward(self.joints))
         turn = 0.0 if elbow is None else elbow - self.joints[2]
@@ -169,7 +169,7 @@ class MotionGenerator:
 
 
 def torque_errors(arm: ArmDescription, torques: Vector, before: Vector, ticks: int) -> list[Error]:
-    """Return what is wrong with commanded torques [N·m], (7,), that come so many ticks after others."""
+    """Return the errors of commanded torques [N·m], shape (7,), sent `ticks` after the torques `before`."""
     errors: list[Error] = []
     if np.abs(torques - before).max() > TOLERANCE * TORQUE_RATE * PERIOD * ticks:
         errors.append(Error.CONTROLLER_TORQUE_DISCONTINUITY)
@@ -179,7 +179,7 @@ def torque_errors(arm: ArmDescription, torques: Vector, before: Vector, ticks: i
 
 
 def motion_errors(arm: ArmDescription, joints: Vector, velocities: Vector) -> list[Error]:
-    """Return what is wrong with measured joints [rad] and their velocities [rad/s], both (7,)."""
+    """Return the errors of measured joint positions [rad] and velocities [rad/s], shape (7,) each."""
     errors: list[Error] = []
     if (joints < arm.joint_lower).any() or (joints > arm.joint_upper).any():
         errors.append(Error.JOINT_POSITION_LIMITS_VIOLATION)
@@ -190,7 +190,7 @@ def motion_errors(arm: ArmDescription, joints: Vector, velocities: Vector) -> li
 
 
 def _difference(goal: Pose, start: Pose) -> Vector:
-    """Return the way between two poses as translation [m] and rotation [rad] in the frame of the base, (6,)."""
+    """Return the difference of two poses as translation [m] and rotation vector [rad] in the base, shape (6,)."""
     return np.concatenate([goal.translation - start.translation, (goal * start.inverse()).rotvec])
 
 

@@ -1,4 +1,4 @@
-"""The Franka Hand as its network sees it: TCP port 1338, version 3, and its state by UDP 30 times a second."""
+"""The network interface of the Franka Hand: TCP port 1338, version 3, and its state by UDP 30 times a second."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from rcs.virtual.franka_messages import (
 from rcs.virtual.virtual_robot import VirtualRobot
 
 STATE_TICKS = 33
-"""Ticks from one state to the next."""
+"""Ticks between two states."""
 SETTLING_TICKS = 100
-"""Ticks for which the fingers stand still when a motion has ended."""
+"""Ticks for which the fingers must stand still for a motion to have ended."""
 TEMPERATURE = 35
-"""°C, in every state."""
+"""Temperature in every state [°C]."""
 
 
 class FrankaHandWire:
-    """Speaks for a hand."""
+    """Implements the interface of a hand."""
 
     def __init__(self, robot: VirtualRobot, address: str, arm: Listener) -> None:
-        """Listen; if the port is taken, the arm's is closed, too."""
+        """Listen; if the port is taken, close the arm's port, too."""
         assert robot.gripper is not None, "there is a hand"
         self._robot, self._about = robot, robot.gripper
         try:
@@ -45,17 +45,17 @@ class FrankaHandWire:
         self._is_grasped = False
 
     def files(self) -> Sequence[socket.socket]:
-        """Return what can be read."""
+        """Return the sockets to read from."""
         return self._listener.files()
 
     def receive(self, file: socket.socket) -> None:
-        """Take requests."""
+        """Process requests."""
         for command, number, request in self._listener.receive(file):
             if self._listener.client is not None:
                 self._answer(self._listener.client, command, number, request)
 
     def tick(self) -> None:
-        """Look whether a motion has ended, and tell the state."""
+        """Check whether a motion has ended, and send the state."""
         self._ticks += 1
         self._still = self._still + 1 if self._robot.is_grip_still else 0
         if self._running is not None and self._still > SETTLING_TICKS:
@@ -68,7 +68,7 @@ class FrankaHandWire:
             client.send_datagram(state.tobytes())
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         self._listener.close()
 
     def _answer(self, client: Client, command: int, number: int, request: Any) -> None:

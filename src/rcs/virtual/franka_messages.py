@@ -1,7 +1,7 @@
 """The messages of the Franka Control Interface, version 10, and of the Franka Hand, version 3.
 
-Numbers and layouts are those of libfranka-common (Apache-2.0), all little-endian and without gaps. States travel with
-`float32` where commands have `float64`: libfranka 0.21 cuts a longer state off and believes what is left.
+Numbers and layouts are those of libfranka-common (Apache-2.0), all little-endian and packed. States use `float32` where
+commands use `float64`: libfranka 0.21 silently truncates longer states.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ HAND_VERSION: Final = 3
 
 ARM_HEADER: Final = np.dtype([("command", "<u4"), ("id", "<u4"), ("size", "<u4")])
 HAND_HEADER: Final = np.dtype([("command", "<u2"), ("id", "<u4"), ("size", "<u4")])
-"""What every message begins with; the size counts the header, too."""
+"""Header of every message; the size includes the header."""
 
 CONNECT: Final = np.dtype([("version", "<u2"), ("udp_port", "<u2")])
-"""A request to connect, on both ports: the client's version, and where it expects states."""
+"""Connect request on both ports: the client's version, and the UDP port for states."""
 
 
 class Command(IntEnum):
-    """What a client can ask of an arm."""
+    """Requests to an arm."""
 
     CONNECT = 0
     MOVE = 1
@@ -45,7 +45,7 @@ class Command(IntEnum):
 
 
 class MoveStatus(IntEnum):
-    """Answers to a request to move: the first says that it begins, the second how it ended."""
+    """Answers to a move request: one when the motion starts and one when it ends."""
 
     SUCCESS = 0
     MOTION_STARTED = 1
@@ -58,7 +58,7 @@ class MoveStatus(IntEnum):
 
 
 class GeneratorMode(IntEnum):
-    """Who makes the motion of an arm, as its state tells; a request to move counts from `JOINT_POSITION` = 0."""
+    """Motion generator in an arm's state; a move request numbers it from `JOINT_POSITION` = 0."""
 
     IDLE = 0
     JOINT_POSITION = 1
@@ -69,7 +69,7 @@ class GeneratorMode(IntEnum):
 
 
 class Controller(IntEnum):
-    """Who makes the torques of an arm."""
+    """Source of an arm's torques."""
 
     JOINT_IMPEDANCE = 0
     CARTESIAN_IMPEDANCE = 1
@@ -78,7 +78,7 @@ class Controller(IntEnum):
 
 
 class Mode(IntEnum):
-    """What an arm is doing."""
+    """Mode of an arm."""
 
     OTHER = 0
     IDLE = 1
@@ -90,7 +90,7 @@ class Mode(IntEnum):
 
 
 class Error(IntEnum):
-    """What an arm complains of: the place in `errors` and `reflex_reason` of its state."""
+    """Errors of an arm, as indices into `errors` and `reflex_reason` of its state."""
 
     JOINT_POSITION_LIMITS_VIOLATION = 0
     CARTESIAN_POSITION_LIMITS_VIOLATION = 1
@@ -155,14 +155,15 @@ ARM_STATE: Final = np.dtype(
     + [("errors", "u1", 41), ("reflex_reason", "u1", 41)]
     + [("robot_mode", "u1"), ("control_command_success_rate", "<f4")]
 )
-"""What an arm sends 1000 times a second. Matrices are by column; a command repeats the `message_id` that it answers."""
+"""State that an arm sends 1000 times a second. Matrices are column-major; a command repeats its state's
+`message_id`."""
 
 ARM_COMMAND: Final = np.dtype(
     [("message_id", "<u8"), ("q_c", "<f8", 7), ("dq_c", "<f8", 7), ("O_T_EE_c", "<f8", 16), ("O_dP_EE_c", "<f8", 6)]
     + [("elbow_c", "<f8", 2), ("valid_elbow", "u1"), ("motion_generation_finished", "u1")]
     + [("tau_J_d", "<f8", 7), ("torque_command_finished", "u1")]
 )
-"""What a client answers to every state while it moves an arm."""
+"""A client's answer to every state while it moves an arm."""
 
 MOVE: Final = np.dtype(
     [("controller_mode", "<u4"), ("motion_generator_mode", "<u4")]
@@ -190,11 +191,11 @@ REQUESTS: Final[dict[int, np.dtype[np.void]]] = {
     Command.SET_NE_TO_EE: np.dtype([("pose", "<f8", 16)]),
     Command.SET_LOAD: LOAD,
 }
-"""What a request has after its header; those that are missing have nothing."""
+"""Content of requests after the header; requests without an entry have none."""
 
 
 class HandCommand(IntEnum):
-    """What a client can ask of a hand."""
+    """Requests to a hand."""
 
     CONNECT = 0
     HOMING = 1
@@ -220,9 +221,9 @@ HAND_REQUESTS: Final[dict[int, np.dtype[np.void]]] = {
 HAND_STATE: Final = np.dtype(
     [("message_id", "<u4"), ("width", "<f8"), ("max_width", "<f8"), ("is_grasped", "u1"), ("temperature", "<u2")]
 )
-"""What a hand sends 30 times a second."""
+"""State that a hand sends 30 times a second."""
 
 
 def columns(pose: Pose) -> NDArray[np.float64]:
-    """Return the matrix of a pose by column, shape (16,)."""
+    """Return the column-major matrix of a pose, shape (16,)."""
     return pose.matrix.T.ravel()

@@ -1,6 +1,6 @@
-"""What a Franka controller tells of itself: a URDF of the arm, and the figures of what it carries.
+"""A Franka controller's model of the arm: its URDF, and the inertia of its end effector.
 
-Both are made from our descriptions, so a virtual arm's model is the one that is simulated.
+Both are made from our descriptions, so the virtual arm's model equals the simulated one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rcs.spatial import Pose, wxyz_to_xyzw
 
 
 def urdf_of(arm: ArmDescription) -> str:
-    """Return the URDF of an arm: links `link0` … `link8`, of which the last is the flange, and joints `joint1` … ."""
+    """Return the URDF of an arm, with links `link0` … `link8` (the flange) and joints `joint1` … ."""
     model = load(arm).compile()
     robot = ElementTree.Element("robot", name=arm.name)
     body = model.body(arm.base_body).id
@@ -59,20 +59,20 @@ def urdf_of(arm: ArmDescription) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Carried:
-    """What an arm carries, as its controller is told."""
+    """The inertia of an arm's end effector, as set in its controller."""
 
     mass: float
-    """kg."""
+    """Mass [kg]."""
     center: NDArray[np.float64]
-    """Centre of mass in the flange [m], (3,)."""
+    """Centre of mass in the flange [m], shape (3,)."""
     inertia: NDArray[np.float64]
-    """Inertia about the centre of mass, along the axes of the flange [kg·m²], (3, 3)."""
+    """Inertia about the centre of mass, along the axes of the flange [kg·m²], shape (3, 3)."""
     pose_tcp_in_flange: Pose
-    """The TCP."""
+    """Pose of the TCP in the flange."""
 
     @staticmethod
     def of(gripper: GripperDescription | None) -> Carried:
-        """Return the figures of a gripper with open fingers, or of a bare flange."""
+        """Return the inertia of a gripper with open fingers; None stands for a bare flange."""
         if gripper is None:
             return Carried(mass=0.0, center=np.zeros(3), inertia=np.zeros((3, 3)), pose_tcp_in_flange=Pose())
         model = load(gripper).compile()

@@ -1,10 +1,10 @@
-"""The controller of a Franka Research 3 with its hand, as its network sees it: the vendor's FCI, version 10.
+"""The network interface of a Franka Research 3 and its hand: the vendor's FCI, version 10.
 
-The arm listens on TCP port 1337 and sends its state by UDP every millisecond; while a client moves it, the client
-answers each state with a command. Whatever the vendor documents as a reason to stop stops this arm, too: commands
-beyond the limits of the interface, too much force, 20 lost packets in a row, the user stop. It then brakes and stays in
-the mode "reflex" until it is recovered. The impedances of the built-in controllers are taken and have no effect:
-the simulated servos have their own.
+The arm listens on TCP port 1337 and sends its state by UDP every millisecond; a client that moves the arm answers each
+state with a command. The arm stops for all reasons that the vendor documents: commands beyond the limits of the
+interface, too much force, 20 lost packets in a row, the user stop. It then brakes and stays in the mode "reflex" until
+a client recovers it. Impedances for the built-in controllers are accepted but have no effect, since the simulated
+servos have their own.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ from rcs.virtual.virtual_robot import VirtualRobot
 from rcs.virtual.wire import Wire
 
 MOST_LOST = 20
-"""Commands that may be missing in a row; one more stops the arm (vendor's FCI documentation)."""
+"""Largest number of commands missing in a row; one more stops the arm (vendor's FCI documentation)."""
 FINISH_SPEED = 0.05
-"""Joint speed above which a motion may not end [rad/s]; ours."""
+"""Joint speed above which a motion may not end [rad/s]; our choice."""
 
 _DONE, _NOT_POSSIBLE, _INVALID = 0, 1, 2
 Vector = NDArray[np.float64]
 
 
 class FrankaWire(Wire):
-    """Speaks for an arm, and for its hand if it has one."""
+    """Implements the interface of an arm and its hand, if it has one."""
 
     rate: ClassVar[int] = 1000
     address: ClassVar[str] = "127.0.0.1"
@@ -68,7 +68,7 @@ class FrankaWire(Wire):
     }
 
     def __init__(self, robot: VirtualRobot, address: str) -> None:
-        """Listen on the ports of an arm, and on that of a hand where there is one."""
+        """Listen on the arm's port, and on the hand's if it has one."""
         self.robot = robot
         self._address = address
         self._arm = robot.about
@@ -81,30 +81,30 @@ class FrankaWire(Wire):
         self._version = ARM_VERSION
         self._is_stopped_by_user = self._is_braked = False
         self._errors: set[Error] = set()
-        self._reasons: set[Error] = set()  # of the last motion's end
+        self._reasons: set[Error] = set()  # why the last motion ended
         self._pose_k_in_ee = Pose()
         self._pose_ee_in_ne = Pose()
         self._load = (0.0, np.zeros(3), np.zeros(9))
         self._forget_motion()
         self._torques = np.zeros(7)
         self._rest(Mode.IDLE)
-        model = robot.body.world.model  # the controller measures torques behind the gears, and makes up for friction
+        model = robot.body.world.model  # the controller measures torques behind the gears and compensates friction
         model.dof_frictionloss[model.jnt_dofadr[robot.body.layout.joint_ids]] = 0.0
         self._received = deque([1.0] * 100, maxlen=100)
         self._state = np.zeros((), ARM_STATE)
         self._write_mounting()
 
     def site(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return the entries of arm and hand."""
+        """Return the site entries of the arm and the hand."""
         entry = {"driver": "franka", "address": self._address}
         return {"arms": entry} if self._hand is None else {"arms": entry, "grippers": entry}
 
     def files(self) -> Sequence[Any]:
-        """Return what can be read."""
+        """Return the sockets to read from."""
         return [*self._listener.files(), *(self._hand.files() if self._hand is not None else ())]
 
     def receive(self, file: socket.socket) -> None:
-        """Take requests and commands."""
+        """Process requests and commands."""
         if self._hand is not None and file in self._hand.files():
             self._hand.receive(file)
             return
@@ -115,7 +115,7 @@ class FrankaWire(Wire):
             self._leave()
 
     def tick(self, robot: VirtualRobot) -> None:
-        """Lead the arm for a millisecond, look after it, and tell its state."""
+        """Move the arm for a millisecond, monitor it, and send its state."""
         self._forces.measure(self._kinematics.jacobian(robot.joints))
         client = self._listener.client
         if self._mode is Mode.MOVE and client is not None:
@@ -131,9 +131,9 @@ class FrankaWire(Wire):
             self._hand.tick()
 
     def tell(self, fault: Fault) -> None:
-        """Have the arm collide, be stopped or locked, complain of something, or be of another version."""
+        """Apply a fault: a collision, the user stop, locked brakes, an error code, or another version."""
         if fault.name == "reflex":
-            self._forces.collided[3] = 1.0  # as something that pushes against the forearm
+            self._forces.collided[3] = 1.0  # like a push against the forearm
             self._abort(MoveStatus.REFLEX_ABORTED, [Error.JOINT_REFLEX])
         elif fault.name == "code":
             if fault.number not in list(Error):
@@ -151,14 +151,14 @@ class FrankaWire(Wire):
             self._mode = Mode.USER_STOPPED if self._is_stopped_by_user else Mode.OTHER
 
     def clear(self) -> None:
-        """Release the user stop and the brakes, and be of the usual version."""
+        """Release the user stop and the brakes, and restore the usual version."""
         self._version = ARM_VERSION
         if self._is_stopped_by_user or self._is_braked:
             self._is_stopped_by_user = self._is_braked = False
             self._rest(Mode.REFLEX if self._errors else Mode.IDLE)
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         self._listener.close()
         if self._hand is not None:
             self._hand.close()
@@ -224,7 +224,7 @@ class FrankaWire(Wire):
             return
         is_torque = generator == GeneratorMode.NONE
         if is_torque != (controller == Controller.EXTERNAL) or request["use_async_motion_generator"]:
-            # Torques beside a motion generator and the controller's own planning are not simulated.
+            # Torques together with a motion generator, and the controller's own planning, are not simulated.
             client.reply(Command.MOVE, number, bytes([MoveStatus.INVALID_ARGUMENT]))
             return
         self._forget_motion()
@@ -255,7 +255,7 @@ class FrankaWire(Wire):
         return _DONE
 
     def _leave(self) -> None:
-        """Brake when the client is gone, as the arm does for a client without words."""
+        """Brake after the client has disconnected, as the arm does for a silent client."""
         if self._mode is Mode.MOVE:
             self._abort(MoveStatus.REFLEX_ABORTED, [Error.COMMUNICATION_CONSTRAINTS_VIOLATION])
 
@@ -280,7 +280,7 @@ class FrankaWire(Wire):
             if not np.isfinite(torques).all():
                 self._abort(MoveStatus.INPUT_ERROR_ABORTED, [Error.TAU_J_RANGE_VIOLATION])
                 return
-            # A client computes from the last torques it was told, which may be two commands old.
+            # A client computes from the last torques it has received, which may be two commands old.
             if errors := torque_errors(self._arm, torques, self._torques, ticks + 1):
                 self._abort(MoveStatus.REFLEX_ABORTED, errors)
                 return
@@ -323,7 +323,7 @@ class FrankaWire(Wire):
         self._rest(Mode.IDLE)
 
     def _abort(self, status: MoveStatus, errors: Sequence[Error]) -> None:
-        """Brake and complain."""
+        """Brake and report errors."""
         self.robot.note("reflex", errors=[error.name.lower() for error in errors])
         self._errors |= set(errors)
         self._reasons = set(errors)
@@ -343,16 +343,16 @@ class FrankaWire(Wire):
         self._answered, self._lost = -1, 0
 
     def _rest(self, mode: Mode) -> None:
-        """Stand: the arm holds its position from now on."""
+        """Hold the present position from now on."""
         self._mode = mode
         self.robot.rest()
-        self._joints = self.robot.joints  # where the arm is led to
+        self._joints = self.robot.joints  # the reference
         self._pose = self._kinematics.forward(self._joints)
 
     # --- Senses ---
 
     def _write_mounting(self) -> None:
-        """Write into the state what only settings change."""
+        """Write the fields of the state that only settings change."""
         state, carried = self._state, self._carried
         state["F_T_NE"] = columns(carried.pose_tcp_in_flange)
         state["NE_T_EE"] = columns(self._pose_ee_in_ne)
@@ -369,7 +369,7 @@ class FrankaWire(Wire):
         pose = Pose.from_tquat(robot.pose_tcp_in_base)
         led, pose_led = self._joints, self._pose
         if self._mode is not Mode.IDLE and generator is None:
-            led, pose_led = joints, pose  # torques and brakes lead nothing
+            led, pose_led = joints, pose  # torques and brakes have no reference
         matrix = columns(pose)
         client.sent += 1
         state["message_id"] = client.sent

@@ -1,7 +1,8 @@
-"""The line between a virtual robot and whoever talks to it: packets pass it late, damaged or never, as it is told.
+"""The line between a virtual robot and its clients, which delays, damages or loses packets on demand.
 
-Threads: every call is safe from any thread. `flush` sends what is due, in order; the loop of the world calls it each
-tick. A packet never overtakes another.
+Threads: all calls are thread-safe. `flush` sends due packets in order; the loop of the world calls it each tick. A
+    packet
+never overtakes another.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ from collections.abc import Callable
 from rcs.virtual.fault import Fault
 
 Write = Callable[[bytes], object]
-"""Sends bytes."""
+"""A function that sends bytes."""
 
 
 class Line:
-    """What becomes of packets that a robot sends, and of those that come."""
+    """Applies faults to the packets that a robot sends and receives."""
 
     def __init__(self, seed: int = 0) -> None:
-        """Let everything pass.
+        """Start without faults.
 
         Args:
-            seed: Of the chances.
+            seed: Random seed of the faults.
         """
         self._random = random.Random(seed)
         self._lock = threading.RLock()
@@ -33,10 +34,10 @@ class Line:
         self._left: dict[str, int] = {}
         self._waiting: deque[tuple[float, bytes, Write]] = deque()
         self.is_cut = False
-        """Whether the cable is out: nothing comes and nothing goes."""
+        """True while the cable is cut: no packet passes."""
 
     def tell(self, fault: Fault) -> None:
-        """Have packets pass `late`, `lose` or `corrupt` them, or `cut` the cable."""
+        """Apply a fault: delay (`late`), `lose` or `corrupt` packets, or `cut` the cable."""
         with self._lock:
             if fault.name == "cut":
                 self.is_cut = True
@@ -46,7 +47,7 @@ class Line:
             self._told[fault.name] = fault
 
     def clear(self) -> None:
-        """Let everything pass again."""
+        """End all faults."""
         with self._lock:
             self._told.clear()
             self._left.clear()
@@ -56,9 +57,9 @@ class Line:
         """Send a packet now or later, damaged or not at all.
 
         Args:
-            packet: What a receiver takes as one.
-            write: Sends it.
-            after: How long it takes on a line that is well [s].
+            packet: A packet as the receiver sees it.
+            write: Sends the packet.
+            after: Delay of a line without faults [s].
         """
         with self._lock:
             now = time.monotonic()
@@ -75,14 +76,14 @@ class Line:
                 self._waiting.append((due, passed, write))
 
     def receive(self, packet: bytes) -> bytes | None:
-        """Return a packet that comes as it passes the line, None if it is lost."""
+        """Return a received packet after it has passed the line; None if it is lost."""
         with self._lock:
             if self.is_cut or self._befalls("lose"):
                 return None
             return self._damaged(packet) if self._befalls("corrupt") else packet
 
     def flush(self) -> None:
-        """Send what is due."""
+        """Send due packets."""
         with self._lock:
             while self._waiting and self._waiting[0][0] <= time.monotonic():
                 _, packet, write = self._waiting.popleft()
@@ -90,7 +91,7 @@ class Line:
 
     @property
     def next_due(self) -> float | None:
-        """When the next packet that waits is due, on the monotonic clock [s]; None if none waits."""
+        """Time at which the next waiting packet is due, on the monotonic clock [s]; None if none waits."""
         with self._lock:
             return self._waiting[0][0] if self._waiting else None
 

@@ -1,4 +1,4 @@
-"""What a virtual robot got and did: events as JSON lines; ticks, and points of clients, in binary files beside them."""
+"""The log of a virtual robot: events as JSON lines; ticks and the clients' setpoints in binary files next to them."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FLUSH = 0.25
-"""How long what is logged may wait in memory [s]."""
+"""Longest time for which log entries stay in memory [s]."""
 
 
 def tick_type(dof: int) -> np.dtype[np.void]:
-    """Return the type of a tick of a robot with so many joints: all in SI units, times on the monotonic clock [s].
+    """Return the type of a tick of a robot with `dof` joints, in SI units, with times on the monotonic clock [s].
 
-    `due` is when the tick was to begin and `time` when it did; `commanded` is where the servos were led to [rad], NaN
-    while torques are commanded; `joints`, `velocities` and `torques` are measured at its end; `width` is that of the
-    gripper [m], NaN without one.
+    `due` is the planned and `time` the actual start of the tick; `commanded` is the servos' reference [rad], NaN while
+    torques are commanded; `joints`, `velocities` and `torques` are measured at the end of the tick; `width` is that of
+    the gripper [m], NaN without one.
     """
     joints = [(name, np.float64, (dof,)) for name in ("commanded", "joints")]
     more = [(name, np.float32, (dof,)) for name in ("velocities", "torques")]
@@ -28,20 +28,20 @@ def tick_type(dof: int) -> np.dtype[np.void]:
 
 
 def point_type(dof: int) -> np.dtype[np.void]:
-    """Return the type of a point that a client has sent.
+    """Return the type of a setpoint from a client.
 
-    `time` is when it was taken from the wire, on the monotonic clock [s]; of `joints` [rad] and `torques` [N·m], those
-    that were not sent are NaN.
+    `time` is when it was received, on the monotonic clock [s]; `joints` [rad] or `torques` [N·m] are NaN if they were
+    not sent.
     """
     return np.dtype([("time", np.float64), *((name, np.float64, (dof,)) for name in ("joints", "torques"))])
 
 
 def read_ticks(path: Path | str, robot: str = "") -> NDArray[np.void]:
-    """Return the ticks beside a log, a structured array of `tick_type`.
+    """Return the ticks of a log, a structured array of `tick_type`.
 
     Args:
-        path: The log.
-        robot: Name of the robot; of a log of one robot, it may be left out.
+        path: Path of the log.
+        robot: Name of the robot; optional if the log has a single robot.
 
     Raises:
         OSError: There is no such file.
@@ -51,9 +51,9 @@ def read_ticks(path: Path | str, robot: str = "") -> NDArray[np.void]:
 
 
 def read_points(path: Path | str, robot: str = "") -> NDArray[np.void]:
-    """Return the points that clients have sent, as they came on the wire, a structured array of `point_type`.
+    """Return the setpoints that clients have sent, a structured array of `point_type`.
 
-    Arguments and errors are those of `read_ticks`.
+    Arguments and errors as in `read_ticks`.
     """
     return _read(path, robot, "points", point_type)
 
@@ -78,15 +78,15 @@ def _beside(path: Path, robot: str, what: str) -> Path:
 
 
 class RobotLog:
-    """Writes the files; without a path, nothing."""
+    """Writes the files of a log; without a path, it writes nothing."""
 
     def __init__(self, path: Path | None, dofs: Mapping[str, int], **about: Any) -> None:
         """Open the files.
 
         Args:
-            path: Of the JSON lines; None to log nothing.
+            path: Path of the JSON lines; None to log nothing.
             dofs: Number of joints by robot.
-            about: What else the first line has.
+            about: Further fields of the first line.
 
         Raises:
             OSError: A file cannot be written.
@@ -103,24 +103,24 @@ class RobotLog:
             self.note("", "start", dof=dict(dofs), **about)
 
     def note(self, robot: str, event: str, **values: Any) -> None:
-        """Log an event, with values that JSON has."""
+        """Log an event with JSON-compatible values."""
         if self._text is not None:
             line = {"time": time.monotonic(), "robot": robot, "event": event, **values}
             self._text.write(json.dumps(line) + "\n")
             self._text.flush()
 
     def tick(self, robot: str, row: tuple[Any, ...]) -> None:
-        """Log a tick: the fields of `tick_type`."""
+        """Log a tick with the fields of `tick_type`."""
         if self._text is not None:
             self._rows[robot, "ticks"].append(row)
 
     def point(self, robot: str, joints: ArrayLike, torques: ArrayLike) -> None:
-        """Log a point that has come: joints or torques, and NaN for the others."""
+        """Log a received setpoint: joints [rad] or torques [N·m], and NaN for the others."""
         if self._text is not None:
             self._rows[robot, "points"].append((time.monotonic(), joints, torques))
 
     def flush(self, now: float) -> None:
-        """Write what has waited long enough."""
+        """Write the entries that have waited for `FLUSH` seconds."""
         if self._text is None or now < self._next_flush:
             return
         self._next_flush = now + FLUSH
@@ -130,7 +130,7 @@ class RobotLog:
             rows.clear()
 
     def close(self) -> None:
-        """Write the rest; closing twice is harmless."""
+        """Write the remaining entries; closing twice is harmless."""
         if self._text is not None:
             self._next_flush = 0.0
             self.flush(0.0)

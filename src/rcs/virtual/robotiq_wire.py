@@ -1,6 +1,6 @@
-"""A Robotiq 2F gripper as its two transports show it: the socket of the vendor's URCap, and Modbus RTU on a line.
+"""The two interfaces of a Robotiq 2F gripper: the socket of the vendor's URCap, and Modbus RTU on a serial line.
 
-The socket takes lines, `SET POS 255 GTO 1` and `GET POS`, and answers `ack` or `POS 255`. Modbus RTU is that of the
+The socket takes lines such as `SET POS 255 GTO 1` and `GET POS`, and answers `ack` or `POS 255`. Modbus RTU follows the
 vendor's manual: device 9, three output registers from 0x03E8, three input registers from 0x07D0.
 """
 
@@ -18,9 +18,9 @@ from rcs.virtual.tcp_port import TcpPort
 from rcs.virtual.virtual_robot import VirtualRobot
 
 OPEN, CLOSED = 3, 230
-"""Positions at which the fingers of a 2F-85 stop [1]: it does not use the whole range of 0 to 255."""
+"""End positions of the fingers of a 2F-85 [1], which does not use the whole range from 0 to 255."""
 DEVICE: Final = 9
-"""Its address on a Modbus."""
+"""Modbus address of the gripper."""
 FIRST_OUTPUT, FIRST_INPUT = 0x03E8, 0x07D0
 SLOWEST, FASTEST = 0.020, 0.150
 """Speeds of the width at 0 and 255 [m/s]; vendor's data sheet."""
@@ -35,18 +35,18 @@ _SETTABLE = ("ACT", "GTO", "ATR", "POS", "SPE", "FOR")
 
 
 class RobotiqWire:
-    """Speaks for the gripper of a robot; `serve` is called every tick. It begins activated, as the URCap does it."""
+    """Implements the interface of a robot's gripper; call `serve` every tick. It starts activated, as by the URCap."""
 
     def __init__(self, robot: VirtualRobot, port: TcpPort | None = None, serial: Path | None = None) -> None:
-        """Serve a socket, or a serial line.
+        """Serve a socket or a serial line.
 
         Args:
-            robot: Whose gripper it is.
+            robot: Robot that carries the gripper.
             port: Port 63352 of the controller; None for a serial line.
-            serial: Path of the serial line, which is made; it must not exist.
+            serial: Path of the serial line to create; it must not exist.
 
         Raises:
-            InvalidSetup: The path is taken.
+            InvalidSetup: The path exists.
         """
         self._robot = robot
         self._port = port
@@ -57,7 +57,7 @@ class RobotiqWire:
             self._line, other = os.openpty()
             tty.setraw(other)
             os.set_blocking(self._line, False)
-            self._other = other  # kept, so that the line survives a client that hangs up
+            self._other = other  # kept open, so that the line survives a client that disconnects
             try:
                 serial.symlink_to(os.ttyname(other))
             except OSError as err:
@@ -65,11 +65,11 @@ class RobotiqWire:
                 raise InvalidSetup(f"The serial line {serial} cannot be made: {err}.") from err
         self._set = {"ACT": 1, "GTO": 0, "ATR": 0, "POS": 0, "SPE": 255, "FOR": 0}
         self._status, self._fault = _ACTIVE, 0
-        self._activation: list[float] = []  # widths that are left to go to [m]
+        self._activation: list[float] = []  # remaining widths to move to [m]
         self._from = 0.0
 
     def tell(self, code: int) -> None:
-        """Have the gripper report a fault of its manual; 0 has it forget its activation, as when its power fails."""
+        """Report a fault code of the manual; 0 resets the activation, as a power failure does."""
         if code == 0:
             self._set |= {"ACT": 0, "GTO": 0}
             self._status, self._fault, self._activation = _RESET, 0, []
@@ -80,12 +80,12 @@ class RobotiqWire:
         self._halt()
 
     def clear(self) -> None:
-        """Mend what causes faults; what is latched stays until the gripper is activated anew."""
+        """Remove the causes of faults; latched faults remain until the gripper is activated again."""
         if self._fault < _FIRST_MAJOR:
             self._fault = 0
 
     def serve(self) -> None:
-        """Answer what has come, and go on with what is under way."""
+        """Answer received requests and continue the motion or activation in progress."""
         if self._port is not None:
             self._port.poll()
             for connection in self._port.connections:
@@ -105,7 +105,7 @@ class RobotiqWire:
         if self._link is not None and self._link.is_symlink():
             self._link.unlink()
 
-    # --- What it does ---
+    # --- Fingers ---
 
     @property
     def _position(self) -> int:
@@ -143,7 +143,7 @@ class RobotiqWire:
             self._robot.grasp(min(max(share, 0.0), 1.0) * gripper.max_width, speed, force)
 
     def _halt(self) -> None:
-        """Stop the fingers; those that hold something go on to hold it, for the drive locks itself."""
+        """Stop the fingers; they keep holding an object, because the drive is self-locking."""
         if not self._robot.is_grip_still:
             self._robot.move(self._robot.width)
 
@@ -184,7 +184,7 @@ class RobotiqWire:
     # --- Modbus RTU ---
 
     def answer_frame(self, frame: bytes) -> bytes:
-        """Return the answer to a frame without its checksum, b"" if it is for another device."""
+        """Return the answer to a frame, both without checksum; b"" if it is for another device."""
         if len(frame) < 2 or frame[0] != DEVICE:
             return b""
         return bytes([DEVICE]) + self._modbus(frame[1], frame[2:])
@@ -202,11 +202,11 @@ class RobotiqWire:
             self._robot.line.send(answer + crc(answer), self._write)
 
     def _write(self, data: bytes) -> None:
-        with contextlib.suppress(BlockingIOError):  # nobody reads
+        with contextlib.suppress(BlockingIOError):  # no client reads
             os.write(self._line, data)
 
     def _modbus(self, function: int, body: bytes) -> bytes:
-        """Return the answer to a request without address and checksum, or its exception."""
+        """Return the answer or exception to a request, without address and checksum."""
         if function in (3, 4):
             first, count = struct.unpack(">HH", body)
             registers = self._inputs()
@@ -241,7 +241,7 @@ def crc(frame: bytes) -> bytes:
 
 
 def _size_of(data: bytes) -> int:
-    """Return how long the request is that some bytes begin, 0 while it cannot be told."""
+    """Return the length of the request that starts with these bytes; 0 if they are too few."""
     if len(data) < 7:
         return 0
     return 9 + data[6] if data[1] == 16 else 8

@@ -1,7 +1,7 @@
-"""Port 30004 of a virtual UR: RTDE, the real-time exchange of its outputs and its input registers.
+"""Port 30004 of a virtual UR: RTDE, which exchanges outputs and input registers in real time.
 
-The messages are those of version 2 in the vendor's guide "Real-Time Data Exchange": a head of u16 size and u8 type, in
-network order, and what the type says.
+The messages follow version 2 of the vendor's guide "Real-Time Data Exchange": a header of u16 size and u8 type in
+network order, and content depending on the type.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from rcs.virtual.line import Line
 from rcs.virtual.tcp_port import TcpConnection, TcpPort
 
 VERSION: Final = 2
-"""Of the protocol."""
+"""Version of the protocol."""
 
 FORMATS: Final[Mapping[str, str]] = {
     "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
     "VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i", "VECTOR6UINT32": "6I",
 }  # fmt: skip
-"""How each type of the protocol is packed."""
+"""Struct format of each type of the protocol."""
 
 INPUTS: Final[Mapping[str, str]] = {
     **{f"input_int_register_{i}": "INT32" for i in range(48)},
     **{f"input_double_register_{i}": "DOUBLE" for i in range(48)},
     **{f"input_bit_register_{i}": "BOOL" for i in range(64, 128)},
 }
-"""The inputs that clients may set, with their types."""
+"""Inputs that clients may set, with their types."""
 
 
 @dataclass(frozen=True)
@@ -37,19 +37,19 @@ class Output:
     """An output of the controller."""
 
     type: str
-    """Its type in the protocol."""
+    """Type in the protocol."""
     read: Callable[[], Any]
     """Returns the present value; a list for vectors."""
 
 
 @dataclass
 class _Recipe:
-    """What a client asked for: names, how their values are packed, and where they come from."""
+    """The variables that a client has requested: names, packing and sources."""
 
     names: list[str]
     packing: struct.Struct
     reads: list[tuple[Callable[[], Any], bool]] = field(default_factory=list[tuple[Callable[[], Any], bool]])
-    """Of outputs: what returns the value, and whether that is a vector."""
+    """For outputs: the function that returns the value, and True if the value is a vector."""
 
     def packed(self) -> bytes:
         """Return the present outputs."""
@@ -61,7 +61,7 @@ class _Recipe:
 
 @dataclass
 class _Client:
-    """What the controller knows of a client."""
+    """State of a client's session."""
 
     outputs: _Recipe | None = None
     ticks_per_output: int = 1
@@ -70,7 +70,7 @@ class _Client:
 
 
 class RtdePort:
-    """Serves all clients of RTDE; what they set lies in `registers`."""
+    """Serves all clients of RTDE and stores the values they set in `registers`."""
 
     def __init__(
         self, port: TcpPort, line: Line, outputs: Mapping[str, Output], software: tuple[int, int, int, int], rate: int
@@ -79,7 +79,7 @@ class RtdePort:
 
         Args:
             port: Port 30004 of the controller.
-            line: What outputs pass. TCP drops what is damaged, so nothing damaged arrives.
+            line: Line that outputs pass. TCP drops damaged packets, so that none arrives.
             outputs: The outputs by name.
             software: Version of the controller's software.
             rate: Ticks per second [Hz].
@@ -93,14 +93,14 @@ class RtdePort:
         self.registers: dict[str, Any] = {name: 0 if kind == "INT32" else 0.0 for name, kind in INPUTS.items()}
         """The input registers by name."""
         self.was_set: set[str] = set()
-        """The registers that were set in the present tick."""
+        """Registers that were set in the present tick."""
         self.version = VERSION
-        """The version of the protocol that is spoken."""
+        """Supported version of the protocol."""
         self.heed: Callable[[], object] = lambda: None
-        """Called each time registers were set."""
+        """Callback after registers were set."""
 
     def receive(self) -> None:
-        """Answer what has come."""
+        """Answer received messages."""
         new, ended = self._port.poll()
         for connection in new:
             self._clients[connection] = _Client()
@@ -122,7 +122,7 @@ class RtdePort:
                     connection.send(_message(kind, answer))
 
     def send(self, tick: int) -> None:
-        """Send the outputs of a tick to whoever asked for them."""
+        """Send the outputs of a tick to the clients that requested them."""
         for connection, client in self._clients.items():
             recipe = client.outputs
             if client.is_started and recipe is not None and tick % client.ticks_per_output == 0:
@@ -162,7 +162,7 @@ class RtdePort:
                 return None
 
     def _input_type(self, client: _Client, name: str) -> str:
-        """Return the type of an input, or why this client cannot have it."""
+        """Return the type of an input, or the reason why this client cannot use it."""
         for other in self._clients.values():
             if other is not client and any(name in recipe.names for recipe in other.inputs.values()):
                 return "IN_USE"
@@ -185,7 +185,7 @@ def _send_whole(connection: TcpConnection, sent: bytes, passed: bytes) -> None:
 
 
 def _names(text: bytes) -> list[str]:
-    """Return names that are separated by commas; clients end a list with a comma, too."""
+    """Return comma-separated names; a trailing comma is permitted."""
     return [name for name in text.decode("ascii", "replace").split(",") if name]
 
 

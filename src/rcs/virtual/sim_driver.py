@@ -1,4 +1,4 @@
-"""A driver whose devices are simulated: it stands in for a robot that is not there, with its delay and its noise."""
+"""A driver of simulated devices, which stand in for a missing robot, with its delay and noise."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ OPTIONS = ("delay", "noise", "seed", "smoothing", "gripper")
 
 
 class SimDriver(Driver):
-    """Makes arms with physics that run in real time, and grippers that move at the speed of their descriptions.
+    """Driver of arms with real-time physics, and of grippers that move at the speeds of their descriptions.
 
-    Options of an arm in a site: `delay` [s], `noise` [rad], `seed`, `smoothing` [s], and `gripper`, the name of what it
-    carries.
+    Options of an arm in a site: `delay` [s], `noise` [rad], `seed`, `smoothing` [s], and `gripper`, the name of its
+    gripper.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """Use a clock [s]; give one that is moved by hand to run faster than real time."""
+        """Set the clock [s]; pass one that you advance yourself to run faster than real time."""
         super().__init__()
         self._clock = clock
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> StandInArm:
-        """Return an arm that stands at home."""
+        """Return an arm at its home position."""
         require_fields("option of a simulated arm", options, OPTIONS)
         given = dict(options)
         name = given.pop("gripper", None)
@@ -38,6 +38,6 @@ class SimDriver(Driver):
         return StandInArm(about, gripper=gripper, clock=self._clock, name=address or about.name, **given)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FakeGripper:
-        """Return an open gripper, which grasps nothing; the options of its arm mean nothing to it."""
+        """Return an open gripper, which cannot grasp; it ignores the options of its arm."""
         require_fields("option of a simulated arm", options, OPTIONS)
         return FakeDriver(self._clock).gripper(address, about, {})

@@ -1,8 +1,8 @@
 """The servo bus of an SO101: six Feetech STS3215 on a pseudo-terminal, in front of a virtual robot.
 
-The bus has one wire for both directions, so servos answer one after the other. A request is `FF FF`, the servo's
-number, the number of bytes that follow, an instruction, its parameters, and the inverted sum of all after `FF FF`; an
-answer has the servo's errors in the place of the instruction.
+The bus has one wire for both directions, so servos answer one after the other. A request consists of `FF FF`, the
+servo's number, the number of bytes that follow, an instruction, its parameters, and the inverted sum of all bytes after
+`FF FF`; an answer has the servo's errors instead of the instruction.
 """
 
 from __future__ import annotations
@@ -23,58 +23,58 @@ from rcs.virtual.virtual_robot import VirtualRobot
 from rcs.virtual.wire import Wire, taken
 
 STEPS = 4096
-"""Positions of the encoder in a turn."""
+"""Encoder positions per turn."""
 MODEL = 777
-"""Number of the model STS3215."""
+"""Model number of the STS3215."""
 BYTE_TIME = 1e-5
-"""Time of a byte on the bus at 1 Mbit/s [s]."""
+"""Duration of a byte on the bus at 1 Mbit/s [s]."""
 ANSWER_TIME = 5e-5
-"""How long a servo takes before it answers [s]."""
+"""Delay of a servo's answer [s]."""
 BROADCAST = 0xFE
 PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
 VOLTAGE, OVERLOAD = 1, 32
-"""Errors in an answer, as bits."""
-# First bytes of registers.
+"""Error bits in an answer."""
+# Addresses of registers.
 MODEL_NUMBER, ID, STATUS_LEVEL, LOWEST, HIGHEST, LEAST_VOLTAGE, MOST_TORQUE = 3, 5, 8, 9, 11, 15, 16
 OFFSET, PROTECTIVE_TORQUE, PROTECTION_TIME, OVERLOAD_TORQUE = 31, 34, 35, 36
 TORQUE_ON, GOAL, TORQUE_LIMIT, POSITION, SPEED, LOAD, VOLTS, DEGREES = 40, 42, 48, 56, 58, 60, 62, 63
 ERRORS, MOVING, CURRENT, REGISTERS = 65, 66, 69, 87
 READ_ONLY = frozenset({*range(5), *range(POSITION, 71)})
 MIDDLES = (2051, 2035, 2072, 2007)
-"""Positions in the middles of the ranges: a person has put the joints there by eye when the arm was calibrated."""
+"""Positions in the middle of the ranges, where a person put the joints by eye during calibration."""
 OFFSETS = (-312, 845, -1203, 77, 1406, -651)
-"""Positions of the encoders that count as 0."""
+"""Encoder positions that count as 0."""
 
 
 class So101Wire(Wire):
-    """Answers as the servos 1 to 5 of the arm and 6 of the gripper do; several arms have a pseudo-terminal each."""
+    """Answers like servos 1 to 5 of an arm and 6 of its gripper; each of several arms has a pseudo-terminal."""
 
     rate = 500
     address = ""
     faults: ClassVar[Mapping[str, str]] = {"overload": "JOINT", "undervoltage": "", "code": "N", "version": "N"}
 
     def __init__(self, robot: VirtualRobot, address: str) -> None:
-        """Make the port.
+        """Create the port.
 
         Args:
             robot: An SO101 with its gripper.
             address: Path of a link to the port; "" for none.
 
         Raises:
-            InvalidSetup: There is such a file, or the robot is another one.
+            InvalidSetup: The path exists, or the robot is not an SO101 with a gripper.
         """
         if robot.about.dof != 5 or robot.gripper is None:
             raise InvalidSetup(f"The bus of an SO101 is for an arm of five joints with a gripper, not {robot.name!r}.")
         self._robot = robot
         self._last_opening = float(robot.body.opening[0])
         self._link = Path(address) if address else None
-        self._master, self._slave = pty.openpty()  # kept open: a port stays when its user goes
+        self._master, self._slave = pty.openpty()  # kept open, so that the port survives its user
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         if self._link is not None:
             try:
                 if self._link.is_symlink() and not self._link.exists():
-                    self._link.unlink()  # left behind by one that was killed
+                    self._link.unlink()  # left behind by a process that was killed
                 self._link.symlink_to(os.ttyname(self._slave))
             except OSError as err:
                 self._link = None
@@ -82,7 +82,7 @@ class So101Wire(Wire):
                 raise taken("The servo bus", address, err) from err
         self._input = b""
         self._is_low, self._code = False, 0
-        self._is_on_stand = True  # until its arm is switched on for the first time: it would fall from home
+        self._is_on_stand = True  # until first switched on; the arm would fall from home
         self._names = (*robot.about.joints, "gripper")
         self._overloaded_for = np.zeros(6)
         self._is_overloaded = np.zeros(6, np.bool_)
@@ -97,13 +97,13 @@ class So101Wire(Wire):
         return f"{address}-2" if address else ""
 
     def site(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return where the bus is, and the calibration as LeRobot stores it."""
+        """Return the site entries, with the path of the bus and the calibration in LeRobot's format."""
         address = os.ttyname(self._slave) if self._link is None else str(self._link)
         entry = {"driver": "so101", "address": address, "options": {"calibration": self.calibration()}}
         return {"arms": entry, "grippers": entry}
 
     def calibration(self) -> dict[str, dict[str, int]]:
-        """Return the calibration, by motor."""
+        """Return the calibration by motor."""
         found: dict[str, dict[str, int]] = {}
         for number, name in enumerate(self._names):
             lowest, highest = self._number(number, LOWEST), self._number(number, HIGHEST)
@@ -117,7 +117,7 @@ class So101Wire(Wire):
         return (self._master,)
 
     def receive(self, file: Any) -> None:
-        """Answer all requests that have come as a whole."""
+        """Answer all complete requests."""
         self._input += os.read(self._master, 4096)
         if self._robot.line.is_cut:
             self._input = b""
@@ -130,24 +130,24 @@ class So101Wire(Wire):
                 self._answer(packet[2], packet[4], packet[5:-1])
 
     def tick(self, robot: VirtualRobot) -> None:
-        """Have servos with power go to their goals with the torque they may, and protect themselves."""
+        """Move powered servos to their goals within their torque limits, and apply their protection."""
         self._measure(robot)
         self._protect(robot.period)
         shares = np.array([self._share(number) for number in range(6)])
         is_on = np.array([bool(own[TORQUE_ON]) for own in self._servos])
-        for number in range(6):  # where a servo without power is moved to is where it would be held
+        for number in range(6):  # a servo without power would be held where it was moved to
             if not is_on[number]:
                 self._set(number, GOAL, self._number(number, POSITION))
         goals = [self._angle(number, self._number(number, GOAL)) for number in range(5)]
         robot.limit(np.ones(5) if self._is_on_stand else shares[:5])
         robot.lead(robot.commanded if self._is_on_stand else np.where(is_on[:5], goals, robot.joints))
         gripper = robot.body.gripper
-        # The gripper's model has half of its servo's torque already.
+        # The gripper's model already has half of the servo's torque.
         force = min(2.0 * shares[5], 1.0) * gripper.grasp_force
         robot.grasp(self._opening(self._number(5, GOAL)) * gripper.max_width, None, force)
 
     def tell(self, fault: Fault) -> None:
-        """Overload a servo, lower the voltage of all, have all tell errors, or be of another model."""
+        """Apply a fault: an overloaded servo, or for all servos a low voltage, errors, or another model number."""
         if fault.name == "overload":
             number = 5 if fault.value == "gripper" else self._robot.joint_of(fault.value)
             self._is_overloaded[number] = True
@@ -160,13 +160,13 @@ class So101Wire(Wire):
                 self._set(number, MODEL_NUMBER, int(fault.number))
 
     def clear(self) -> None:
-        """Give the servos their voltage and their model back; an overload lasts until the torque is switched off."""
+        """Restore the servos' voltage and model number; an overload lasts until the torque is switched off."""
         self._is_low, self._code = False, 0
         for number in range(6):
             self._set(number, MODEL_NUMBER, MODEL)
 
     def close(self) -> None:
-        """Take the port away; closing twice is harmless."""
+        """Remove the port; closing twice is harmless."""
         if self._master < 0:
             return
         os.close(self._master)
@@ -178,14 +178,14 @@ class So101Wire(Wire):
     # --- Registers ---
 
     def _calibrate(self, servo: int) -> None:
-        """Write the registers of a servo that is calibrated and has no power on its motor."""
+        """Write the registers of a calibrated servo without motor power."""
         own, span = self._servos[servo], STEPS / tau
         own[0], own[1], own[ID], own[STATUS_LEVEL], own[LEAST_VOLTAGE] = 3, 10, servo + 1, 1, 40
         own[PROTECTIVE_TORQUE], own[PROTECTION_TIME], own[OVERLOAD_TORQUE] = 20, 200, 80
         own[VOLTS], own[DEGREES] = 121, 30
         if servo == 5:
             lowest, highest = 2047, 2047 + round(span * 1.92)
-        elif self._names[servo] == "wrist_roll":  # it turns without an end
+        elif self._names[servo] == "wrist_roll":  # it turns without limits
             lowest, highest = 0, STEPS - 1
         else:
             lowest = round(MIDDLES[servo] + span * self._robot.about.joint_lower[servo])
@@ -229,7 +229,7 @@ class So101Wire(Wire):
             self._set(servo, SPEED, _magnitude(round(speed), 15))
             load = round(1000 * float(np.clip(loads[servo], -1.0, 1.0)))
             self._set(servo, LOAD, _magnitude(load, 10))
-            self._set(servo, CURRENT, abs(load) * 2700 // 6500)  # 2.7 A when it stalls, in steps of 6.5 mA
+            self._set(servo, CURRENT, abs(load) * 2700 // 6500)  # 2.7 A at stall, in steps of 6.5 mA
             own = self._servos[servo]
             own[MOVING] = int(abs(speed) > 50)
             own[VOLTS] = 36 if self._is_low else 121
@@ -244,7 +244,7 @@ class So101Wire(Wire):
             self._is_overloaded[servo] |= bool(self._overloaded_for[servo] > 0.01 * own[PROTECTION_TIME])
 
     def _share(self, servo: int) -> float:
-        """Return the part of its torque that a servo may exert."""
+        """Return the fraction of its torque that a servo may exert."""
         own = self._servos[servo]
         if not own[TORQUE_ON]:
             return 0.0
@@ -300,7 +300,7 @@ class So101Wire(Wire):
             own[ERRORS] &= ~OVERLOAD
 
     def _reply(self, servo: int, values: bytes, used: int) -> int:
-        """Send an answer after so many bytes on the bus; return how many there are with it."""
+        """Send an answer after `used` bytes on the bus; return the number of bytes including it."""
         body = bytes([servo + 1, len(values) + 2, self._servos[servo][ERRORS], *values])
         packet = b"\xff\xff" + body + bytes([_checksum(body)])
         used += len(packet)
@@ -310,7 +310,7 @@ class So101Wire(Wire):
     def _send(self, packet: bytes) -> None:
         try:
             os.write(self._master, packet)
-        except BlockingIOError:  # nobody reads; a real bus does not wait either
+        except BlockingIOError:  # no client reads; a real bus does not wait either
             return
 
 
@@ -319,11 +319,11 @@ def _checksum(values: bytes) -> int:
 
 
 def _magnitude(value: int, bit: int) -> int:
-    """Return a number as servos store it: its amount, and its sign as a bit."""
+    """Return a number as servos store it: its magnitude and a sign bit."""
     return min(abs(value), (1 << bit) - 1) | ((value < 0) << bit)
 
 
 def _signed(value: int, bit: int) -> int:
-    """Return the number that a servo has stored."""
+    """Return a number from the magnitude and sign bit that a servo stores."""
     amount = value & ((1 << bit) - 1)
     return -amount if value >> bit & 1 else amount

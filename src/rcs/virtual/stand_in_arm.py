@@ -1,4 +1,4 @@
-"""A simulated arm behind the interface of a real one, with the delay and the noise that real ones have."""
+"""A simulated arm behind the interface of real ones, with delay and noise."""
 
 from __future__ import annotations
 
@@ -18,19 +18,18 @@ from rcs.sim.scene import RobotPlacement
 from rcs.sim.timed_world import SMOOTHING, TimedWorld
 
 ARRIVED = 2e-3
-"""A joint that is nearer to its target than this has arrived [rad]."""
+"""Distance to the target below which a joint has arrived [rad]."""
 STILL = 5e-3
-"""A joint that is slower than this stands still [rad/s]."""
+"""Speed below which a joint stands still [rad/s]."""
 
 _NAME = "arm"
 
 
 class StandInArm(Arm):
-    """An arm with physics that obeys `delay` seconds late and measures its joints with noise.
+    """A simulated arm that follows commands with a delay and measures its joints with noise.
 
-    It is simulated up to the present moment of its clock whenever it is asked or told something, so it moves in real
-    time without a thread. `freeze` has it stand still without a word, as a robot does whose controller hangs;
-    `lose_link` and `restore` are those of the fakes.
+    Each call first simulates up to the present time of its clock, so the arm moves in real time without a thread.
+    `freeze` stops it silently, like a controller that hangs; `lose_link` and `restore` work as in the fakes.
     """
 
     def __init__(
@@ -45,55 +44,55 @@ class StandInArm(Arm):
         clock: Callable[[], float] = time.monotonic,
         name: str = "stand-in",
     ) -> None:
-        """Describe the arm; nothing is simulated before `open`, which has it stand at home.
+        """Create the arm; the simulation starts at the home position in `open`.
 
         Args:
-            about: The arm's figures.
-            gripper: What it carries, for its mass; None for nothing.
-            delay: Time between a command and the motion that it causes [s].
+            about: Description of the arm.
+            gripper: Gripper that it carries, for its mass; None for none.
+            delay: Delay between a command and the resulting motion [s].
             noise: Standard deviation of every measured joint [rad].
-            seed: Of the noise.
+            seed: Random seed of the noise.
             smoothing: Time constant of each of the two low-passes that smooth targets [s].
             clock: Returns the time [s].
-            name: Name in messages.
+            name: Name of the arm in messages.
 
         Raises:
             InvalidSetup: The delay or the noise is negative, or not finite.
         """
         for what, value, unit in (("delay", delay, "s"), ("noise", noise, "rad")):
             if not (math.isfinite(value) and value >= 0):
-                raise InvalidSetup(f"{what} is {value!r} {unit}; valid is a finite number from 0.")
+                raise InvalidSetup(f"{what} is {value!r} {unit}; valid is a finite number of at least 0.")
         super().__init__(name, limits_of(about))
         self.delay = delay
-        """Time between a command and the motion that it causes [s]."""
+        """Delay between a command and the resulting motion [s]."""
         self._placement = RobotPlacement(name=_NAME, arm=about, gripper=gripper)
         self._noise, self._smoothing = noise, smoothing
         self._random = np.random.default_rng(seed)
         self._clock = clock
         self._world: TimedWorld | None = None
-        self._lock = threading.RLock()  # a stop comes from any thread
+        self._lock = threading.RLock()  # a stop may come from any thread
         self._has_link = True
         self._is_frozen = False
 
     def freeze(self) -> None:
-        """Stand still from now on: commands are taken and not obeyed, measurements go on, and no fault is told."""
+        """Stand still from now on: commands are accepted but ignored, measurements continue, and there is no fault."""
         with self._lock:
             self._reach().stop(_NAME)
             self._is_frozen = True
 
     def thaw(self) -> None:
-        """Obey again what is commanded from now on."""
+        """Follow commands again from now on."""
         self._is_frozen = False
 
     def lose_link(self) -> None:
-        """Have every later call fail, also `hold`, as when the cable is out; the arm stops by itself."""
+        """Make every later call fail, even `hold`, as if the cable were unplugged; the arm stops by itself."""
         with self._lock:
             if self._world is not None:
                 self._now(self._world).stop(_NAME)
             self._has_link = False
 
     def restore(self) -> None:
-        """Put the cable back in; a fault stays until `recover`."""
+        """Restore the link; a fault remains until `recover`."""
         self._has_link = True
 
     def _open(self) -> None:
@@ -110,7 +109,7 @@ class StandInArm(Arm):
             return ArmState(
                 list(joints),
                 list(robot.velocities),
-                time=min(world.time, self._clock()),  # it is ahead by a part of a physics step
+                time=min(world.time, self._clock()),  # the world is ahead by part of a physics step
                 device_time=world.time,
                 commanded_joints=list(world.goal(_NAME)),
                 mode="frozen" if self._is_frozen else "position",
@@ -137,7 +136,7 @@ class StandInArm(Arm):
         self._reach()
 
     def _reach(self) -> TimedWorld:
-        """Return the world as it is now, unless the link is lost."""
+        """Return the world at the present time, unless the link is lost."""
         self._require_link()
         assert self._world is not None, "a call before `open` is refused by the interface"
         return self._now(self._world)

@@ -1,4 +1,4 @@
-"""A TCP port of a virtual robot that is served from its loop: no call waits."""
+"""A non-blocking TCP port of a virtual robot, served from its loop."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import socket
 from collections.abc import Iterator
 
 POLLS_PER_ACCEPT = 5
-"""New clients are looked for less often than what known ones send: it takes longer."""
+"""Number of polls for data per poll for new clients, which takes longer."""
 
 
 class TcpConnection:
-    """One client: what it sent and is not yet used, in `received`, and what it has not yet taken."""
+    """A client's connection, with its unprocessed input in `received` and a buffer of unsent output."""
 
     def __init__(self, connected: socket.socket) -> None:
-        """Take over a connected socket."""
+        """Use an accepted socket."""
         connected.setblocking(False)
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = connected
@@ -23,16 +23,16 @@ class TcpConnection:
         self.is_open = True
 
     def fileno(self) -> int:
-        """Return the number by which the system knows the socket."""
+        """Return the file descriptor of the socket."""
         return self._socket.fileno()
 
     def send(self, data: bytes) -> None:
-        """Send now what the client takes, the rest later."""
+        """Send as much as the client accepts now, and the rest later."""
         self._waiting += data
         self.flush()
 
     def flush(self) -> None:
-        """Send what the client takes now."""
+        """Send as much of the unsent data as the client accepts now."""
         if not self._waiting:
             return
         try:
@@ -44,7 +44,7 @@ class TcpConnection:
             self.close()
 
     def receive(self) -> None:
-        """Put what has come into `received`."""
+        """Append pending input to `received`."""
         try:
             while data := self._socket.recv(65536):
                 self.received += data
@@ -55,20 +55,20 @@ class TcpConnection:
             self.close()
 
     def lines(self) -> Iterator[str]:
-        """Take whole lines out of what was received."""
+        """Yield complete lines and remove them from `received`."""
         while (end := self.received.find(b"\n")) >= 0:
             line = self.received[:end].decode("utf-8", "replace").strip()
             del self.received[: end + 1]
             yield line
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self.is_open = False
         self._socket.close()
 
 
 class TcpPort:
-    """Listens at an address and keeps the connections of its clients."""
+    """A listening socket with the connections of its clients."""
 
     def __init__(self, address: str, port: int) -> None:
         """Listen.
@@ -82,7 +82,7 @@ class TcpPort:
         self.connections: list[TcpConnection] = []
 
     def poll(self) -> tuple[list[TcpConnection], list[TcpConnection]]:
-        """Receive, and return the connections that are new, and those that have ended."""
+        """Receive data, and return the new connections and those that have ended."""
         new: list[TcpConnection] = []
         if self._polls % POLLS_PER_ACCEPT == 0:
             with contextlib.suppress(BlockingIOError):
@@ -100,7 +100,7 @@ class TcpPort:
         return new, ended
 
     def close(self) -> None:
-        """Hang up on everybody and listen no more."""
+        """Disconnect all clients and stop listening."""
         self._listener.close()
         for connection in self.connections:
             connection.close()

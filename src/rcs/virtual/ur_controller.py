@@ -1,7 +1,7 @@
-"""What is behind the ports of a UR controller: its modes, its safety system, and the program that moves the arm.
+"""A UR controller behind its ports: modes, safety system, and the program that moves the arm.
 
-It leads the joints of a robot tick by tick, and stops them for the reasons for which a real controller does: joint
-speed and range, a path that the joints do not follow, a program that ends.
+It moves the joints of a robot tick by tick, and stops them for the same reasons as a real controller: joint speed and
+range, a path that the joints do not follow, the end of the program.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from rcs.virtual.virtual_robot import VirtualRobot
 RATE: Final = 500
 """Ticks of the controller per second [Hz]."""
 UNLOCK_AFTER: Final = 5.0
-"""How long a protective stop lasts before the dashboard unlocks it [s]; vendor's Dashboard Server manual."""
+"""Time after which the dashboard unlocks a protective stop [s]; vendor's Dashboard Server manual."""
 SPEED_LIMIT: Final = np.deg2rad(191.0)
 """Joint speed at which the safety system stops the arm [rad/s]; its factory setting, 11 degrees/s above the rated."""
 TRACKING_LIMIT: Final = 0.3
-"""How far a joint may be from where it is led before the arm stops [rad]; ours, for the vendor publishes none."""
+"""Largest tracking error of a joint before the arm stops [rad]; our choice, since the vendor publishes none."""
 STOP_DECELERATION: Final = 10.0
-"""Of the joints in a protective stop and when a program ends [rad/s²]; ours."""
+"""Deceleration of the joints in a protective stop and at the end of a program [rad/s²]; our choice."""
 
 
 class RobotMode(enum.IntEnum):
@@ -54,34 +54,34 @@ class Program:
     """The control script while it runs."""
 
     blocking: Callable[[], bool] | None = None
-    """Of a command that takes time: whether it is done."""
+    """For a command that takes time, a function that returns True once it is done."""
     is_executing: bool = False
-    """The present command has been carried out, and its register is not cleared yet."""
+    """True if the present command has been executed but its register is not yet cleared."""
     watchdog: float = 0.0
-    """How long the command register may stay unset before the program stops [s]; 0 for ever."""
+    """Time without a write to the command register after which the program stops [s]; 0 for never."""
     heard: float = 0.0
-    """When the command register was set last, on the controller's clock [s]."""
+    """Time of the last write to the command register, on the controller's clock [s]."""
     move: Motion | None = None
-    """The motion that the program has asked for."""
+    """Motion that the program has requested."""
     has_freedrive: bool = False
 
 
 @dataclass
 class Registers:
-    """What the program shows its client."""
+    """Output registers of the program."""
 
     integers: list[int] = field(default_factory=lambda: [0] * 48)
     doubles: list[float] = field(default_factory=lambda: [0.0] * 48)
 
 
 class UrController:
-    """Leads one arm as its program asks for, and stops it."""
+    """Moves an arm according to its program and stops it on faults."""
 
     def __init__(self, robot: VirtualRobot) -> None:
-        """Power the arm on, with its brakes released, and run no program.
+        """Start with the arm powered on, its brakes released, and no program.
 
         Args:
-            robot: The arm; the TCP of the installation is that of its gripper.
+            robot: The arm; the installation's TCP is that of its gripper.
         """
         self.robot = robot
         self.about = robot.about
@@ -93,11 +93,11 @@ class UrController:
         self.clock: Callable[[], float] = time.monotonic
         """The controller's clock [s]."""
         self.reference = Reference(robot.joints)
-        """Where the arm is led."""
+        """Reference of the arm's servos."""
         self.robot_mode = RobotMode.RUNNING
         self.safety_mode = SafetyMode.NORMAL
         self.bad_joint: int | None = None
-        """Which joint a protective stop is about."""
+        """Joint that caused a protective stop."""
         self.program: Program | None = None
         self.registers = Registers()
         self.payload = 0.0
@@ -106,17 +106,17 @@ class UrController:
 
     @property
     def is_running(self) -> bool:
-        """Whether a program runs."""
+        """True while a program runs."""
         return self.program is not None
 
     def start_program(self) -> None:
-        """Run the control script, if the arm is ready for it; a program that ran was ended."""
+        """Run the control script if the arm is ready; end a running program first."""
         if self.safety_mode == SafetyMode.NORMAL and self.robot_mode == RobotMode.RUNNING:
             self.program = Program(heard=self.clock())
             self.registers = Registers()
 
     def mend(self) -> None:
-        """Mend what a person mends at the pendant: buttons, power, the safety system; a protective stop stays."""
+        """Restore what a person restores at the pendant: buttons, power, safety system. A protective stop remains."""
         if self.safety_mode != SafetyMode.PROTECTIVE_STOP:
             self.safety_mode, self.bad_joint = SafetyMode.NORMAL, None
         if self.robot_mode != RobotMode.RUNNING:
@@ -124,7 +124,7 @@ class UrController:
             self._stand()
 
     def unlock(self) -> str:
-        """Leave a protective stop, and return what the dashboard answers."""
+        """Leave a protective stop and return the dashboard's answer."""
         if self.safety_mode == SafetyMode.PROTECTIVE_STOP:
             if self.clock() - self._stopped_at < UNLOCK_AFTER:
                 return (
@@ -136,7 +136,7 @@ class UrController:
         return "Protective stop releasing"
 
     def protect(self, reason: str, joint: int | None = None) -> None:
-        """Stop for a reason that the dashboard can unlock; a joint is what it is about."""
+        """Enter a protective stop, which the dashboard can unlock; `joint` is the joint that caused it."""
         if self.safety_mode == SafetyMode.NORMAL:
             self.bad_joint = joint
             reason = reason if joint is None else f"{self.about.joints[joint]} {reason}"
@@ -146,7 +146,7 @@ class UrController:
             self.end_program(f"protective stop: {reason}")
 
     def switch_off(self, safety_mode: SafetyMode) -> None:
-        """Take the power away."""
+        """Switch the power off."""
         self.end_program(f"switched off, {safety_mode.name}")
         self.safety_mode = safety_mode
         self.robot_mode = RobotMode.POWER_OFF
@@ -183,7 +183,7 @@ class UrController:
         self.robot.lead(reference.joints, reference.velocities, reference.accelerations)
 
     def _watch(self) -> None:
-        """Stop the arm where a real controller does."""
+        """Stop the arm under the conditions of a real controller."""
         reference = self.reference
         speeds = np.abs(reference.velocities)
         if speeds.max() > SPEED_LIMIT:
@@ -200,12 +200,12 @@ class UrController:
             self.protect("does not follow its path", int(apart.argmax()))
 
     def _stand(self) -> None:
-        """Lead the arm from where it is."""
+        """Set the reference to the measured position."""
         self.reference = Reference(self.robot.joints)
         self._stop = None
 
     def end_program(self, reason: str) -> None:
-        """End the program; a motion brakes."""
+        """End the program and brake its motion."""
         if self.program is not None:
             self.robot.note("program_ends", reason=reason)
             if self.program.has_freedrive:

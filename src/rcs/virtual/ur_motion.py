@@ -1,7 +1,7 @@
-"""What the controller of a UR makes of its motion commands: where the joints shall be, tick by tick.
+"""The motion commands of a UR controller, which compute the joints' reference tick by tick.
 
-Each motion is a function of time that is told `dt` [s] and leads a `Reference`. The laws are simpler than the vendor's,
-which are not published, and keep what they promise: speeds, accelerations, straight lines.
+Each motion advances a `Reference` by `dt` [s]. The laws are simpler than the vendor's, which are not published, but
+keep the documented speeds, accelerations and straight lines.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ _ONE_BRANCH = IkOptions(translation_tolerance=1e-6, rotation_tolerance=1e-6, res
 
 
 class ProgramError(RcsError):
-    """What ends a program on the controller, such as a pose that it cannot reach."""
+    """An error that ends a program on the controller, such as a pose out of reach."""
 
 
 @dataclass
 class Reference:
-    """Where the servos are led: positions [rad], velocities [rad/s] and accelerations [rad/s²] of the joints."""
+    """The servos' reference: joint positions [rad], velocities [rad/s] and accelerations [rad/s²]."""
 
     joints: Vector
     velocities: Vector = field(default_factory=lambda: np.zeros(6))
     accelerations: Vector = field(default_factory=lambda: np.zeros(6))
 
     def move(self, joints: Vector, dt: float) -> None:
-        """Go to positions within a tick."""
+        """Move to positions within a tick."""
         self._change((joints - self.joints) / dt, dt)
         self.joints = joints
 
     def coast(self, velocities: Vector, dt: float) -> None:
-        """Go on at velocities for a tick."""
+        """Move at velocities for a tick."""
         self._change(velocities, dt)
         self.joints = self.joints + velocities * dt
 
@@ -53,18 +53,18 @@ class Reference:
 
 
 class Motion(Protocol):
-    """Leads a reference until it is over."""
+    """A motion that moves a reference."""
 
     def step(self, reference: Reference, dt: float) -> bool:
-        """Move the reference by one tick and return whether the motion is over."""
+        """Move the reference by one tick of `dt` [s] and return True if the motion is over."""
         ...
 
 
 class Chain:
-    """The arm's kinematics with a tool: poses of the TCP in the base as the controller takes and gives them."""
+    """The arm's kinematics with a tool: poses of the TCP in the base, in the controller's format."""
 
     def __init__(self, kinematics: Kinematics, tcp_in_flange: Pose) -> None:
-        """Take the kinematics of the flange."""
+        """Combine the kinematics of the flange with a TCP."""
         self._kinematics = kinematics
         self.tcp_in_flange = tcp_in_flange
 
@@ -73,10 +73,10 @@ class Chain:
         return self._kinematics.forward(joints) * self.tcp_in_flange
 
     def inverse(self, pose: Pose, near: Vector) -> Vector:
-        """Return the joints for a pose of the TCP on the branch of `near`.
+        """Return joint positions [rad] for a pose of the TCP, on the solution branch of `near`.
 
         Raises:
-            ProgramError: There are none.
+            ProgramError: There is no solution.
         """
         found = self._kinematics.inverse(pose * self.tcp_in_flange.inverse(), near, _ONE_BRANCH)
         if found.status != IkStatus.ok:
@@ -84,29 +84,29 @@ class Chain:
         return found.joints
 
     def velocities(self, joints: Vector, twist: Vector) -> Vector:
-        """Return joint velocities for a twist of the TCP in the base."""
+        """Return joint velocities [rad/s] for a twist of the TCP in the base [m/s, rad/s]."""
         lever = self.forward(joints).translation - self._kinematics.forward(joints).translation
         at_flange = np.concatenate([twist[:3] - np.cross(twist[3:], lever), twist[3:]])
         return self._kinematics.velocities(joints, at_flange).joints
 
 
 def pose_of(vector: ArrayLike) -> Pose:
-    """Return the pose that six numbers of the controller stand for: position [m] and rotation vector [rad]."""
+    """Return a pose from the controller's six numbers: position [m] and rotation vector [rad]."""
     values = np.asarray(vector, np.float64)
     return Pose.from_rotvec(values[:3], values[3:6])
 
 
 def vector_of(pose: Pose) -> Vector:
-    """Return a pose as the controller writes it."""
+    """Return the controller's six numbers for a pose."""
     return np.concatenate([pose.translation, pose.rotvec])
 
 
 @dataclass
 class Servo:
-    """servoj and servol: joints follow a target, `lookahead` seconds behind one that moves.
+    """servoj and servol: joints follow a target, and lag `lookahead` seconds behind a moving one.
 
-    The acceleration is `gain` times the error, projected by the present velocity over `lookahead`. From
-    gain >= 4 / lookahead² on, it overshoots nothing.
+    The acceleration is `gain` times the error, projected by the present velocity over `lookahead`. With
+    gain >= 4 / lookahead², it does not overshoot.
     """
 
     target: Vector
@@ -151,7 +151,7 @@ class SpeedTcp:
 
 @dataclass
 class Stop:
-    """stopj, stopl, servo and speed stops: brake on the way on which the joints are [rad/s²]."""
+    """stopj, stopl, servo and speed stops: brake along the joints' present direction, with a deceleration [rad/s²]."""
 
     deceleration: float
 
@@ -162,10 +162,10 @@ class Stop:
 
 
 class Move:
-    """movej and movel: from rest to rest in the least time, at a speed and an acceleration along the way."""
+    """movej and movel: time-optimal motion from rest to rest within a speed and an acceleration along the path."""
 
     def __init__(self, start: Vector, goal: Vector | Pose, speed: float, acceleration: float, chain: Chain) -> None:
-        """Go to joints in joint space [rad/s, rad/s²], or to a pose on a straight line [m/s, m/s²]."""
+        """Move to joints in joint space [rad/s, rad/s²], or to a pose on a straight line [m/s, m/s²]."""
         if isinstance(goal, Pose):
             first = chain.forward(start)
             length = first.distance_to(goal) or first.angle_to(goal)
@@ -193,7 +193,7 @@ class Move:
         return True
 
     def _share(self) -> float:
-        """Return the share of the way at the present time: speed up, go on, slow down."""
+        """Return the fraction of the path at the present time: accelerate, cruise, decelerate."""
         if self._length < 1e-9:
             return 1.0
         ramp = self._speed / self._acceleration
@@ -211,7 +211,7 @@ class Move:
 
 
 def _towards(present: Vector, target: Vector, most: float) -> Vector:
-    """Go straight from present to target velocities by no more than this in the leading axis."""
+    """Return velocities on the straight line from present to target, at most `most` further in the leading axis."""
     gap = target - present
     largest = float(np.abs(gap).max())
     return target if largest <= most else present + gap * (most / largest)

@@ -1,4 +1,4 @@
-"""What a virtual UR tells by RTDE, by the names of the vendor's guide."""
+"""RTDE outputs of a virtual UR, by the names of the vendor's guide."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _JOINT_RUNNING, _JOINT_FAULT, _JOINT_POWER_OFF = 253, 252, 238
 
 
 def outputs_of(controller: UrController) -> dict[str, Output]:
-    """Return all outputs of a controller; each is read when it is sent."""
+    """Return all outputs of a controller; their values are read when they are sent."""
     zeros = [0.0] * 6
 
     def pose_now() -> list[float]:

@@ -1,7 +1,7 @@
-"""The control script of ur_rtde on a virtual UR, which is not run but followed.
+"""The control script of ur_rtde, emulated on a virtual UR.
 
 A command is in `input_int_register_0`, its arguments are in the double registers, and its state is in
-`output_int_register_0`. A watchdog ends the program when its client is not heard of any more.
+`output_int_register_0`. A watchdog ends the program when its client falls silent.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ _REAL_TIME: Final = (9, 10, 11, 24)
 
 
 class ControlScript:
-    """Does what the registers say."""
+    """Executes the commands in the registers."""
 
     def __init__(self, controller: UrController, rtde: RtdePort) -> None:
-        """Read and write the registers of a port for a controller."""
+        """Connect the registers of a port to a controller."""
         self._controller, self._rtde = controller, rtde
         rtde.heed = self._log_point
 
     def run(self) -> None:
-        """Go once through the script's main loop."""
+        """Run one cycle of the script's main loop."""
         program = self._controller.program
         if program is None:
             return
@@ -60,7 +60,7 @@ class ControlScript:
             self._controller.end_program(str(err))
 
     def _doubles(self, first: int, count: int) -> Vector:
-        """Return input registers."""
+        """Return double input registers, shape (count,)."""
         registers = self._rtde.registers
         return np.array([registers[f"input_double_register_{i}"] for i in range(first, first + count)])
 
@@ -69,7 +69,7 @@ class ControlScript:
             self._controller.robot.log_point(joints=self._doubles(0, 6))
 
     def _start_real_time(self, program: Program, command: int) -> None:
-        """Take a command that the client repeats as fast as it likes."""
+        """Start a command that the client repeats at any rate."""
         values = self._doubles(0, 11)
         allowed = Servo if command in (11, 24) else SpeedJoints | SpeedTcp
         if program.move is not None and not isinstance(program.move, allowed):
@@ -92,10 +92,10 @@ class ControlScript:
             program.move = SpeedTcp(values[:6], values[6], self._controller.chain)
 
     def _execute(self, program: Program, command: int) -> Callable[[], bool]:
-        """Begin a command and return what tells whether it is done.
+        """Start a command and return a function that returns True once it is done.
 
         Raises:
-            ProgramError: There is no such command, or it asks for what cannot be.
+            ProgramError: The command does not exist or cannot be executed.
         """
         values = self._doubles(0, 14)
         now = self._controller.reference.joints
@@ -111,7 +111,7 @@ class ControlScript:
                 program.move = Move(now, goal, values[6], values[7], self._controller.chain)
                 return lambda: self._rtde.registers["input_int_register_1"] == 1 or program.move is None
             case 15 | 16 | 33 | 34:
-                # The linear stops brake along the joints, too; on a straight line they would leave it by little.
+                # Linear stops brake along the joints, too, and deviate little from a straight line.
                 program.move = Stop(STOP_DECELERATION if command == 16 else min(values[0], STOP_DECELERATION))
                 return lambda: program.move is None
             case 17:

@@ -1,7 +1,7 @@
-"""The ports of a UR e-series controller: RTDE, dashboard, and script ports.
+"""The ports of a UR e-series controller: RTDE, dashboard and script ports.
 
 Clients see PolyScope 5.16 in remote control. RTDE (port 30004) sends outputs at up to 500 Hz; the dashboard (29999)
-takes lines of text; the script ports (30001 to 30003) take the control script of ur_rtde and nothing else.
+answers lines of text; the script ports (30001 to 30003) accept only the control script of ur_rtde.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SOFTWARE: Final = (5, 16, 0, 1110000)
 
 
 class UrWire(Wire):
-    """Speaks for one arm, and for a Robotiq gripper on its flange."""
+    """Implements the interface of an arm and of a Robotiq gripper on its flange."""
 
     rate: ClassVar[int] = RATE
     address: ClassVar[str] = "127.0.0.1"
@@ -41,16 +41,16 @@ class UrWire(Wire):
         "version": "N",
         "gripper": "CODE",
     }
-    """A reflex and an overloaded joint end in a protective stop; `user_stop` is the emergency stop's button, `version`
-    is that of RTDE, and `gripper` a code of the register FLT, where 0 stands for power that fails."""
+    """A reflex and an overloaded joint cause a protective stop; `user_stop` is the emergency stop button, `version`
+    that of RTDE, and `gripper` a code of the register FLT, with 0 for a power failure."""
 
     def __init__(self, robot: VirtualRobot, address: str) -> None:
-        """Listen on all ports; the arm is powered on, its brakes are released, and no program runs.
+        """Listen on all ports, with the arm powered on, its brakes released, and no program.
 
         Args:
-            robot: The arm; the TCP of the installation is that of its gripper.
-            address: An IP address of this machine, which no other controller has: the ports are fixed. With the path of
-                a serial line after a comma, the gripper speaks Modbus RTU there; else it is on the URCap's socket.
+            robot: The arm; the installation's TCP is that of its gripper.
+            address: An IP address of this machine that no other controller uses, since the ports are fixed. With the
+                path of a serial line after a comma, the gripper uses Modbus RTU there, else the URCap's socket.
 
         Raises:
             InvalidSetup: A port is taken.
@@ -59,7 +59,7 @@ class UrWire(Wire):
         self._serial = serial
         self._robot = robot
         self.controller = UrController(robot)
-        """What is behind the ports."""
+        """The controller behind the ports."""
         self._ticks = 0
         self._thawed = 0.0
         self._ports: list[TcpPort] = []
@@ -85,14 +85,14 @@ class UrWire(Wire):
         return self._ports[-1]
 
     def site(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return how driver `ur` reaches the arm and `robotiq` its gripper."""
+        """Return the site entries for the arm (driver `ur`) and its gripper (driver `robotiq`)."""
         found = {"arms": {"driver": "ur", "address": self._address}}
         if self._gripper is not None:
             found["grippers"] = {"driver": "robotiq", "address": self._serial or self._address}
         return found
 
     def tick(self, robot: VirtualRobot) -> None:
-        """Serve the ports and lead the arm for 2 ms."""
+        """Serve the ports and move the arm for 2 ms."""
         self._ticks += 1
         self._rtde.was_set.clear()
         if robot.frozen_until > self._thawed:
@@ -122,14 +122,14 @@ class UrWire(Wire):
         ip, comma, serial = address.partition(",")
         return f"{Wire.next_address(ip)}{comma}{serial and serial + '-next'}"
 
-    # --- What happens to it ---
+    # --- Faults ---
 
     def tell(self, fault: Fault) -> None:
-        """Have one of `faults` happen.
+        """Apply one of `faults`.
 
         Raises:
             UnknownName: The robot has no such joint.
-            InvalidSetup: A number makes no sense.
+            InvalidSetup: A value is invalid.
         """
         match fault.name:
             case "protective_stop":
@@ -154,13 +154,13 @@ class UrWire(Wire):
                 self._gripper.tell(int(fault.number))
 
     def clear(self) -> None:
-        """Mend what a person mends at the pendant: buttons, power, the safety system; a protective stop stays."""
+        """Restore what a person restores at the pendant: buttons, power, safety system. A protective stop remains."""
         self._rtde.version = VERSION
         if self._gripper is not None:
             self._gripper.clear()
         self.controller.mend()
 
-    # --- Ports of text ---
+    # --- Text ports ---
 
     def _serve_scripts(self) -> None:
         for port in self._scripts:
@@ -173,7 +173,7 @@ class UrWire(Wire):
                     self._start(text)
 
     def _start(self, text: str) -> None:
-        """Start a program instead of the present one."""
+        """Replace the running program by a new one."""
         self.controller.end_program("another one is sent")
         if "def rtde_control" not in text:
             self._robot.note("script_refused", reason="not the control script of ur_rtde", text=text[:200])

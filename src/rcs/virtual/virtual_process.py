@@ -1,4 +1,4 @@
-"""A virtual robot in a process of its own, for as long as a `with` lasts."""
+"""A context manager for a virtual robot in a separate process."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rcs.hardware.site import Site
 from rcs.virtual.control import tell
 
 END = 10.0
-"""How long it may take to end; it is killed then [s]."""
+"""Timeout for its end, after which it is killed [s]."""
 
 
 class VirtualProcess:
@@ -38,22 +38,22 @@ class VirtualProcess:
         seed: int = 0,
         log: Path | str | None = None,
     ) -> None:
-        """Say what to start; arguments as those of `rcs virtual`."""
+        """Store the command; arguments as in `rcs virtual`."""
         given = {"--address": address, "--setup": setup, "--seed": seed, "--log": log}
         options = [word for name, value in given.items() if value is not None for word in (name, str(value))]
         self._command = [sys.executable, "-m", "rcs", "virtual", robot, *options]
         self._process: subprocess.Popen[str] | None = None
         self._words: IO[str] | None = None
         self.name = ""
-        """Name by which it is told of faults."""
+        """Name for sending faults to it."""
         self.site = Site()
-        """Where its devices are, for `rcs.make(hardware=...)`."""
+        """Site of its devices, for `rcs.make(hardware=...)`."""
 
     def __enter__(self) -> VirtualProcess:
-        """Start it.
+        """Start the process and wait until it is ready.
 
         Raises:
-            InvalidSetup: It does not start; the message has its words.
+            InvalidSetup: It does not start; the message quotes its output.
         """
         self._words = tempfile.TemporaryFile("w+")
         self._process = subprocess.Popen(
@@ -71,17 +71,17 @@ class VirtualProcess:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End it."""
+        """End the process."""
         self.close()
 
     @property
     def pid(self) -> int:
-        """Number of its process."""
+        """Process ID."""
         assert self._process is not None, "it has not been started"
         return self._process.pid
 
     def tell(self, *words: object) -> str:
-        """Have something go wrong, such as `tell("lose", 3)`; of one of several robots, `tell("left/lose", 3)`.
+        """Send a fault, such as `tell("lose", 3)`, or `tell("left/lose", 3)` to one of several robots.
 
         Returns:
             The answer to a question such as `judge`; empty for a fault.
@@ -90,10 +90,10 @@ class VirtualProcess:
         return tell(f"{self.name}{slash}{robot}", [fault, *map(str, words[1:])])
 
     def close(self) -> None:
-        """End it and wait until it is gone; closing twice is harmless.
+        """End the process and wait for it; closing twice is harmless.
 
         Raises:
-            SimulationError: It has failed before; the message has its words.
+            SimulationError: It failed earlier; the message quotes its output.
         """
         if self._process is None:
             return

@@ -1,4 +1,4 @@
-"""A virtual robot: an arm with its gripper in a simulated world, with what a controller has of them."""
+"""A virtual robot: an arm with its gripper in a simulated world, with the interface of motors and sensors."""
 
 from __future__ import annotations
 
@@ -17,38 +17,38 @@ from rcs.virtual.line import Line
 from rcs.virtual.robot_log import RobotLog
 
 STILL = 1e-2
-"""Fingers that are slower than this stand still [rad/s, m/s]."""
+"""Speed below which fingers stand still [rad/s, m/s]."""
 
 
 class VirtualRobot:
-    """What a wire leads, once per tick of the world; arrays are fresh, (dof,).
+    """A robot that a wire moves once per tick of the world. Returned arrays are copies of shape (dof,).
 
-    One of `lead`, `push` and `brake` counts for each tick. Without a new one, the servos stay where they were led to,
-    torques stay as they are, and braking goes on.
+    The last of `lead`, `push` and `brake` counts for each tick. Without a new call, the servos keep their reference,
+    torques stay constant, and braking continues.
     """
 
     def __init__(self, world: World, placement: RobotPlacement, log: RobotLog) -> None:
-        """Look the robot up in a world.
+        """Find the robot in a world.
 
         Args:
-            world: Steps by one tick.
-            placement: A robot of its scene.
-            log: Takes its events and ticks.
+            world: World whose step is one tick.
+            placement: Placement of the robot in the scene.
+            log: Log for its events and ticks.
         """
         self.name = placement.name
         """Name of the robot in its setup."""
         self.about = placement.arm
-        """The arm's figures."""
+        """Description of the arm."""
         self.gripper = placement.gripper
-        """The gripper's figures; None without one."""
+        """Description of the gripper; None without one."""
         self.body = SimRobot(world, placement, is_led=False)
-        """Its body in the world."""
+        """The robot's body in the world."""
         self.line = Line()
-        """What packets pass."""
+        """Line that all packets pass."""
         self.frozen_until = 0.0
-        """When the controller that hangs goes on, on the monotonic clock [s]."""
+        """Time at which a hanging controller continues, on the monotonic clock [s]."""
         self.period = world.period
-        """Time of a tick [s]."""
+        """Duration of a tick [s]."""
         layout, model, arm = self.body.layout, world.model, placement.arm
         self._world, self._log = world, log
         assert world.data is not None, "the world has one copy"
@@ -60,7 +60,7 @@ class VirtualRobot:
         self._bias = model.actuator_biasprm[self._actuators].copy()
         stiffness = -self._bias[:, 1]
         damping = model.dof_damping[model.jnt_dofadr[layout.joint_ids]]
-        self._lag = (damping - self._bias[:, 2]) / stiffness  # of a servo that is given positions alone [s]
+        self._lag = (damping - self._bias[:, 2]) / stiffness  # lag of a servo that receives positions only [s]
         self._stiffness = stiffness
         self._effort = np.array(arm.effort_limit)
         joints = layout.joint_ids
@@ -77,11 +77,11 @@ class VirtualRobot:
             limits += [(model.jnt_actfrcrange, joint) for joint in layout.finger_joint_ids]
             self._grip_limits = [(array, at, array[at].copy()) for array, at in limits]
         self._pressed: NDArray[np.float64] | None = None  # [N], in the world
-        self._opening = self._opening_goal = 1.0  # where an episode begins
+        self._opening = self._opening_goal = 1.0  # as at the beginning of an episode
         self._opening_speed = 0.0
         self.rest()
 
-    # --- What is measured, at the end of the last tick ---
+    # --- Measurements at the end of the last tick ---
 
     @property
     def joints(self) -> NDArray[np.float64]:
@@ -95,22 +95,22 @@ class VirtualRobot:
 
     @property
     def torques(self) -> NDArray[np.float64]:
-        """Torques of the motors, those against gravity included [N·m]."""
+        """Motor torques including gravity compensation [N·m]."""
         return self._data.qfrc_actuator[self._qvel] + self._data.qfrc_applied[self._qvel]
 
     @property
     def pose_tcp_in_base(self) -> NDArray[np.float64]:
-        """Pose of the TCP in the frame of the base, (7,): translation [m], quaternion xyzw."""
+        """Pose of the TCP in the base, shape (7,): translation [m], quaternion xyzw."""
         return self.body.tcp_tquat
 
     @property
     def width(self) -> float:
-        """Width of the gripper [m], NaN without one."""
+        """Width of the gripper [m]; NaN without one."""
         return np.nan if self.gripper is None else float(self.body.opening[0]) * self.gripper.max_width
 
     @property
     def grip_force(self) -> float:
-        """Force per finger that the gripper's motor exerts [N], NaN without one."""
+        """Force per finger of the gripper's motor [N]; NaN without one."""
         if self.gripper is None:
             return np.nan
         finger, at = self.body.layout.finger_joint_ids[0], self.body.layout.finger_actuator
@@ -122,33 +122,33 @@ class VirtualRobot:
 
     @property
     def is_grip_still(self) -> bool:
-        """Whether the fingers stand still: at their target, or on an object."""
+        """True if the fingers stand still, at their target or on an object."""
         fastest = float(np.abs(self._data.qvel[self.body.layout.finger_qvel]).max(initial=0.0))
         return abs(self._opening - self._opening_goal) < 1e-6 and fastest < STILL
 
     @property
     def is_frozen(self) -> bool:
-        """Whether the controller hangs."""
+        """True while the controller hangs."""
         return time.monotonic() < self.frozen_until
 
-    # --- What the servos are told ---
+    # --- Commands ---
 
     @property
     def commanded(self) -> NDArray[np.float64]:
-        """Where the servos are led to [rad], (dof,); NaN while torques are commanded."""
+        """Reference of the servos [rad], shape (dof,); NaN while torques are commanded."""
         return np.full(self.about.dof, np.nan) if self._is_pushed else self._position.copy()
 
     def lead(
         self, joints: ArrayLike, velocities: ArrayLike | None = None, accelerations: ArrayLike | None = None
     ) -> None:
-        """Have the servos be here at the end of the next tick.
+        """Set the servos' reference for the end of the next tick.
 
-        With velocities and accelerations they do not lag behind, as servos of the simulation's own motions.
+        With velocities and accelerations, the servos do not lag, like in the simulation's own motions.
 
         Args:
             joints: Positions [rad].
-            velocities: At that place [rad/s]; None for 0, to which servos come behind.
-            accelerations: [rad/s²]; None for 0.
+            velocities: Velocities [rad/s]; None for 0, with which the servos lag.
+            accelerations: Accelerations [rad/s²]; None for 0.
         """
         self._stop_pushing()
         self._is_braking = False
@@ -158,7 +158,7 @@ class VirtualRobot:
         self._is_led = True
 
     def push(self, torques: ArrayLike) -> None:
-        """Have the motors exert torques besides those against gravity [N·m], as much of them as they can."""
+        """Command motor torques in addition to gravity compensation [N·m], clipped to the motors' limits."""
         if not self._is_pushed:
             self._model.actuator_gainprm[self._actuators] = 0.0
             self._model.actuator_biasprm[self._actuators] = 0.0
@@ -167,20 +167,20 @@ class VirtualRobot:
         self._data.qfrc_applied[self._qvel] = np.clip(np.asarray(torques, np.float64), -self._effort, self._effort)
 
     def brake(self) -> None:
-        """Come to rest at the largest accelerations, and stay there."""
+        """Brake at the largest accelerations and stay at rest."""
         self._stop_pushing()
         self._is_braking = True
 
     def limit(self, shares: ArrayLike) -> None:
-        """Let the motors exert no more than shares of their torques, (dof,): 1 for all, 0 for a motor without power.
+        """Limit the motors to fractions of their torques, shape (dof,): 1 for no limit, 0 for a motor without power.
 
-        A joint without power falls; torques against gravity count too.
+        The limit includes gravity compensation, so a joint without power falls.
         """
         torques = np.asarray(shares, np.float64)[:, None] * self._torque_range
         self._model.jnt_actfrcrange[self.body.layout.joint_ids] = torques
 
     def rest(self) -> None:
-        """Stay where the arm is measured, with servos that are led there; the gripper keeps its width."""
+        """Set the servos' reference to the measured positions; the gripper keeps its width."""
         self._is_pushed = self._is_led = self._is_braking = False
         self._data.qfrc_applied[self._qvel] = 0.0
         self._model.actuator_gainprm[self._actuators] = self._gain
@@ -189,25 +189,25 @@ class VirtualRobot:
         self._data.ctrl[self._actuators] = self._position
 
     def press(self, force: ArrayLike) -> None:
-        """Have something press on the TCP from the next tick on.
+        """Apply an external force at the TCP from the next tick on.
 
         Args:
-            force: In the frame of the base [N], (3,); 0 for nothing.
+            force: Force in the base [N], shape (3,); 0 for none.
         """
         body = self._data.body(self.body.layout.base_body)
         self._pressed = body.xmat.reshape(3, 3) @ np.asarray(force, np.float64)
 
     def move(self, width: float, speed: float | None = None) -> None:
-        """Move the gripper to a width [m] with a speed of the width [m/s], None for its largest, with all its force."""
+        """Move the gripper to a width [m] at a speed of the width [m/s], None for the largest, with full force."""
         self.grasp(width, speed, None)
 
     def grasp(self, width: float, speed: float | None, force: float | None) -> None:
-        """Move the gripper to a width, and press with no more than a force.
+        """Move the gripper to a width with limited force.
 
         Args:
-            width: [m].
-            speed: Of the width [m/s]; None for the largest.
-            force: Largest force per finger [N]; None for all it has.
+            width: Width [m].
+            speed: Speed of the width [m/s]; None for the largest.
+            force: Largest force per finger [N]; None for full force.
 
         Raises:
             InvalidSetup: The robot has no gripper.
@@ -221,7 +221,7 @@ class VirtualRobot:
         self._opening_speed = min(fastest if speed is None else speed, fastest) / gripper.max_width
 
     def joint_of(self, text: str) -> int:
-        """Return the index of a joint by its name or its number from 0.
+        """Return the index of a joint from its name or its number, starting at 0.
 
         Raises:
             UnknownName: There is no such joint.
@@ -233,21 +233,21 @@ class VirtualRobot:
         raise UnknownName("joint", text, self.about.joints)
 
     def note(self, event: str, **values: Any) -> None:
-        """Log an event, with values that JSON has."""
+        """Log an event with JSON-compatible values."""
         self._log.note(self.name, event, **values)
 
     def log_point(self, *, joints: ArrayLike = np.nan, torques: ArrayLike = np.nan) -> None:
-        """Log a point as it came on the wire: joints [rad] or torques [N·m], (dof,)."""
+        """Log a received setpoint: joints [rad] or torques [N·m], shape (dof,)."""
         everywhere = np.ones(self.about.dof)
         self._log.point(self.name, np.asarray(joints) * everywhere, np.asarray(torques) * everywhere)
 
-    # --- What the loop of the world calls ---
+    # --- Calls of the world's loop ---
 
     def settle(self) -> None:
         """Write the controls of the next tick."""
         if self._is_braking:
             self._slow_down()
-        elif not self._is_led:  # nothing new: the servos stay, without the speed of the last command
+        elif not self._is_led:  # no new command: keep the reference, without its velocity
             self._velocity, self._acceleration = np.zeros_like(self._velocity), None
         self._is_led = False
         if not self._is_pushed:
@@ -272,7 +272,7 @@ class VirtualRobot:
             self.body.command_opening(np.array([self._opening]))
 
     def log_tick(self, due: float, began: float) -> None:
-        """Log the tick that has ended."""
+        """Log the last tick."""
         row = (due, began, self.commanded, self.joints, self.velocities, self.torques, self.width)
         self._log.tick(self.name, row)
 

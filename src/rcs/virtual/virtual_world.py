@@ -1,8 +1,8 @@
-"""A virtual world: the scene of a setup, stepped in real time, with a wire before each of its robots.
+"""A virtual world: the scene of a setup, stepped in real time, with a wire for each of its robots.
 
-Time: one thread runs the loop. A tick is due every `1 / rate` seconds of the monotonic clock; one that comes late is
-made up for at once, unless more than `LONGEST_GAP` has passed. Between two ticks the loop reads whatever comes to the
-wires.
+Timing: one thread runs the loop. A tick is due every `1 / rate` seconds of the monotonic clock; late ticks are made up
+    at
+once, unless more than `LONGEST_GAP` has passed. Between ticks, the loop reads the wires' input.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from rcs.virtual.virtual_robot import VirtualRobot
 from rcs.virtual.wire import Wire
 
 LONGEST_GAP = 0.25
-"""A gap in time that is longer than this is left out, as if the world had stood still [s]."""
+"""Longest gap in time that is made up; longer ones are skipped, as if the world had stood still [s]."""
 
 ABOUT, JUDGE = "about", "judge"
-"""Questions: for its name, site and setup as JSON; whether the task was done since the objects were placed last."""
+"""Questions: for name, site and setup as JSON; and for success of the task since the objects were last placed."""
 VERDICTS: Mapping[bool | None, str] = {True: "done", False: "not done", None: "not known"}
-"""Answers to `judge`; not known where nothing is to be done."""
+"""Answers to `judge`; "not known" for tasks without a goal."""
 
 AnyWire = Callable[[VirtualRobot, str], Wire]
 
 
 class VirtualWorld:
-    """Robots and objects of a setup, each robot behind the wire of its vendor."""
+    """The robots and objects of a setup, each robot behind the wire of its vendor."""
 
     def __init__(
         self,
@@ -56,14 +56,14 @@ class VirtualWorld:
         log: Path | None = None,
         wires: Mapping[str, type[Wire]] | None = None,
     ) -> None:
-        """Put the robots at home and the objects where the seed has them, and listen.
+        """Place the robots at home and the objects according to the seed, and listen.
 
         Args:
-            setup: The scene and its robots; its frequency, cameras and layers do not matter.
-            address: Where the first robot is reached; None for the usual place. The next one is at the next address.
-            seed: Of where the objects are.
+            setup: The scene and its robots; frequency, cameras and layers are ignored.
+            address: Address of the first robot, None for the default; each further robot uses the next address.
+            seed: Random seed of the objects' placement.
             log: Path of the log; None for none.
-            wires: Wires by the name of the arm, for others than those that are installed.
+            wires: Wires by arm name, in addition to the installed ones.
 
         Raises:
             UnknownName: There is no wire for an arm, or a name in the setup does not exist.
@@ -78,9 +78,9 @@ class VirtualWorld:
         """The physics."""
         self.setup = parts.setup
         self.ticks = 0
-        """Ticks so far."""
+        """Number of ticks so far."""
         self.late_ticks = 0
-        """Ticks that began more than a period late."""
+        """Number of ticks that began more than a period late."""
         dofs = {robot.name: robot.arm.dof for robot in parts.robots}
         self.log = RobotLog(log, dofs, rate=self.rate, setup=parts.setup.to_json())
         self.robots = {robot.name: VirtualRobot(self.world, robot, self.log) for robot in parts.robots}
@@ -88,7 +88,7 @@ class VirtualWorld:
         self._scenario = Scenario(self.world, [robot.body for robot in self.robots.values()], parts.task)
         self._judged_every = max(1, round(self.rate / parts.setup.frequency))
         self.success: bool | None = None
-        """Whether the task was done since the objects were placed; None where nothing is to be done."""
+        """True if the task has been done since the objects were placed; None for a task without a goal."""
         self._is_ended = False
         self.wires: dict[str, Wire] = {}
         """The wires by robot."""
@@ -108,12 +108,12 @@ class VirtualWorld:
 
     @property
     def name(self) -> str:
-        """Name by which it is told of faults."""
+        """Name for sending faults to it."""
         assert self.control is not None
         return self.control.name
 
     def site(self) -> dict[str, dict[str, Any]]:
-        """Return the site at which its robots are, as a site file has it."""
+        """Return the site of its robots in the format of a site file."""
         site: dict[str, dict[str, Any]] = {}
         for name, wire in self.wires.items():
             for kind, entry in wire.site().items():
@@ -121,14 +121,14 @@ class VirtualWorld:
         return site
 
     def reset(self, seed: int, episode: int = 0) -> None:
-        """Place the objects as a reset with a seed does; the robots stay where they are.
+        """Place the objects like a reset with a seed; the robots stay in place.
 
         Args:
-            seed: Of the environment.
-            episode: Number of the episode since the seed was set.
+            seed: Seed of the environment.
+            episode: Number of episodes since the seed was set.
 
         Raises:
-            InvalidSetup: The seed is none.
+            InvalidSetup: The seed is invalid.
         """
         random = EpisodeRandom(np.asarray(check_seed(seed)), np.asarray(episode))
         kept = [
@@ -150,23 +150,23 @@ class VirtualWorld:
         self.success = None
 
     def _judge(self) -> None:
-        """Look whether the task is done, as an environment does after each step."""
+        """Check whether the task is done, like an environment after each step."""
         success = self._scenario.evaluate().success
         if success is not None:
             self.success = bool(self.success) or bool(success)
 
     def tell(self, words: Sequence[str]) -> str:
-        """Have something go wrong, or answer a question.
+        """Apply a fault or answer a question.
 
         Args:
-            words: The name of the robot, or "" for all of them; a fault and its value, or a question.
+            words: Name of the robot, or "" for all; then a fault and its value, or a question.
 
         Returns:
             The answer; empty for a fault.
 
         Raises:
             UnknownName: There is no such robot, or it has no such fault.
-            InvalidSetup: The value makes no sense; nothing happens then.
+            InvalidSetup: The value is invalid; nothing happens then.
         """
         name, *rest = words
         if name and name not in self.robots:
@@ -201,10 +201,10 @@ class VirtualWorld:
             robot.line.tell(fault)
 
     def run(self) -> None:
-        """Step in real time until `end`."""
+        """Step in real time until `end` is called."""
         gc.collect()
         gc.freeze()
-        gc.disable()  # a collection takes longer than a tick
+        gc.disable()  # garbage collection takes longer than a tick
         period, due = 1.0 / self.rate, time.monotonic()
         try:
             while not self._is_ended:
@@ -219,11 +219,11 @@ class VirtualWorld:
             gc.enable()
 
     def end(self) -> None:
-        """Have `run` return; from a signal handler or any thread."""
+        """Make `run` return; callable from signal handlers and any thread."""
         self._is_ended = True
 
     def close(self) -> None:
-        """Let go of all addresses and files; closing twice is harmless."""
+        """Release all addresses and files; closing twice is harmless."""
         for wire in self.wires.values():
             wire.close()
         if self.control is not None:
@@ -248,7 +248,7 @@ class VirtualWorld:
         self.log.flush(began)
 
     def _listen(self, until: float) -> None:
-        """Read what comes, at least once, until a moment of the monotonic clock."""
+        """Read input, at least once, until a time of the monotonic clock [s]."""
         assert self.control is not None
         while True:
             heard: dict[Any, Wire] = {}
@@ -273,7 +273,7 @@ class VirtualWorld:
 
 
 def usual_setup(robot: str) -> Setup:
-    """Return the setup of a virtual robot when no other is given: the first of these tasks that suits it.
+    """Return the default setup of a virtual robot, with the first of the default tasks that suits it.
 
     Raises:
         UnknownName: There is no such robot.

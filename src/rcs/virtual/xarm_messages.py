@@ -1,8 +1,8 @@
-"""The bytes on the ports of an xArm's controller: requests, answers and reports, with their codes.
+"""The messages on the ports of an xArm controller: requests, answers and reports, with their codes.
 
-A request is a head of u16 number, u16 protocol and u16 length in network order, a function and its values, floats with
-the lowest byte first; the answer repeats head and function, and has a state byte before its values. The layout is that
-of the vendor's manual.
+A request consists of a header of u16 number, u16 protocol and u16 length in network order, a function, and its values
+with little-endian floats. The answer repeats header and function, and has a state byte before its values. The layout is
+that of the vendor's manual.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ COMMAND_PORT, NORMAL_PORT, RICH_PORT, REAL_PORT = 502, 30001, 30002, 30003
 REPORT_RATES: Final = {NORMAL_PORT: 5, RICH_PORT: 5, REAL_PORT: 100}
 """Reports per second of each port [Hz]."""
 MODEL: Final = 7
-"""The number of an xArm7."""
+"""Model number of the xArm7."""
 HAS_ERROR, HAS_WARNING, NOT_READY, REFUSED = 0x40, 0x20, 0x10, 0x08
 """Bits of the state byte."""
 NO_SUCH_FUNCTION: Final = 13
-"""The warning about a function that the controller does not have."""
+"""Warning about an unknown function."""
 
 Vector = NDArray[np.float64]
 
 
 class State(enum.IntEnum):
-    """What the controller says of itself; vendor's manual."""
+    """States of the controller; vendor's manual."""
 
     MOVING = 1
     READY = 2
@@ -43,7 +43,7 @@ class State(enum.IntEnum):
 
 
 class Mode(enum.IntEnum):
-    """The modes that this controller has."""
+    """Modes that this controller supports."""
 
     POSITION = 0
     SERVO = 1
@@ -73,7 +73,7 @@ class Request(NamedTuple):
 
 
 def requests(received: bytearray) -> Iterator[Request]:
-    """Take all complete requests out of the bytes that a client has sent; heartbeats are dropped."""
+    """Yield all complete requests in a client's bytes and remove them; heartbeats are dropped."""
     while len(received) >= 6:
         number, protocol, size = struct.unpack_from(">3H", received)
         if len(received) < 6 + size:
@@ -90,18 +90,18 @@ def answer_packet(request: Request, answer: bytes) -> bytes:
 
 
 def floats(values: Sequence[float] | Vector) -> bytes:
-    """Return numbers as they are sent: four bytes each, the lowest first."""
+    """Return numbers as little-endian floats of four bytes each."""
     return np.asarray(values, "<f4").tobytes()
 
 
 def pose_of(values: bytes) -> Pose:
-    """Return the pose that six floats say: mm, and roll, pitch, yaw [rad]."""
+    """Return the pose encoded in six floats: translation [mm], and roll, pitch, yaw [rad]."""
     given = np.array(struct.unpack_from("<6f", values), np.float64)
     return Pose.from_xyzrpy(np.concatenate([1e-3 * given[:3], given[3:]]))
 
 
 def pose_values(pose: Pose) -> Vector:
-    """Return a pose as the controller has it, shape (6,): mm, and roll, pitch, yaw [rad]."""
+    """Return a pose in the controller's format, shape (6,): translation [mm], and roll, pitch, yaw [rad]."""
     given = pose.xyzrpy
     return np.concatenate([1e3 * given[:3], given[3:]])
 
@@ -121,19 +121,19 @@ def report(
     sensitivity: int,
     version: str,
 ) -> bytes:
-    """Return a report with its size before it.
+    """Return a report, preceded by its size.
 
     Args:
-        port: The port that it is for; a rich report has most.
+        port: Port of the report, which determines its fields; `RICH_PORT` has most.
         robot: The arm, for its joints, velocities and torques.
         state: State of the controller.
         mode: Mode of the controller.
         pose: Pose of the TCP, as `pose_values` returns it.
-        enabled: A bit per joint whose motor has power.
+        enabled: Bits of the joints whose motors have power.
         error: Code of the error; 0 for none.
         warning: Code of the warning; 0 for none.
         tool: Pose of the TCP in the flange, as `pose_values` returns it.
-        load: Mass [kg] and centre of mass [mm] of what the flange carries.
+        load: Mass [kg] and centre of mass [mm] of the load at the flange.
         sensitivity: Sensitivity to collisions, 0 to 5.
         version: Version of the firmware.
     """

@@ -1,7 +1,7 @@
-"""Servo mode of an xArm's controller: how it leads the joints along the points that a client sends.
+"""Servo mode of an xArm controller, which moves the joints along a client's setpoints.
 
-The controller leads the joints to the newest point until the next one is due, without limits of its own, and stops
-where a real one does: joints that are too fast (C24), a TCP that is too fast (C60), joints that do not follow (C31).
+The controller moves the joints to the newest setpoint until the next one is due, without limits of its own, and stops
+like a real one if joints are too fast (C24), the TCP is too fast (C60), or joints do not follow (C31).
 """
 
 from __future__ import annotations
@@ -16,32 +16,32 @@ from rcs.virtual.virtual_robot import VirtualRobot
 from rcs.virtual.xarm_messages import Code, Vector
 
 RATE: Final = 500
-"""Ticks per second [Hz]: two per cycle of the controller, which has 250 Hz."""
+"""Ticks per second [Hz]: two per cycle of the controller, which runs at 250 Hz."""
 CYCLE: Final = 2
-"""Ticks per cycle: the time that the controller takes for a single point."""
+"""Ticks per cycle, the duration of the motion to a single setpoint."""
 LONGEST_GAP: Final = RATE // 25
-"""Ticks between points up to which they are a stream, whose speed is kept; the vendor asks for 30 to 250 Hz."""
+"""Most ticks between setpoints of a stream, whose speed is kept; the vendor recommends 30 to 250 Hz."""
 JOINT_SPEED: Final = 1.02 * np.pi
-"""Joint speed above which C24 follows [rad/s]: the vendor's 180 degrees/s, with 2 % for the rounding of floats."""
+"""Joint speed that causes C24 [rad/s]: the vendor's 180 degrees/s, plus 2 % for the rounding of floats."""
 TCP_SPEED: Final = 1.2
-"""TCP speed above which C60 follows in servo mode [m/s]: by the vendor, 1.2 times the largest speed of linear moves."""
+"""TCP speed that causes C60 in servo mode [m/s]: 1.2 times the largest speed of linear moves, as the vendor states."""
 WINDOW: Final = 20
-"""Ticks over which the servos smooth points and speeds are measured, since points arrive early and late; ours."""
+"""Ticks over which setpoints are smoothed and speeds measured, since setpoints have jitter; our choice."""
 TRACKING_LIMIT: Final = 0.3
-"""Largest distance of a joint from its reference at the usual collision sensitivity of 3 [rad]; ours."""
+"""Largest tracking error of a joint at the default collision sensitivity of 3 [rad]; our choice."""
 BUSY_TICKS: Final = RATE // 5
-"""Ticks after a point for which the arm counts as moving; ours."""
+"""Ticks after a setpoint for which the arm counts as moving; our choice."""
 
 
 class ServoMode:
-    """Leads the joints of an arm to the newest point."""
+    """Moves the joints of an arm to the newest setpoint."""
 
     def __init__(self, robot: VirtualRobot, place: Callable[[Vector], Vector]) -> None:
-        """Start without a point.
+        """Start without a setpoint.
 
         Args:
             robot: The arm.
-            place: Returns the position of the TCP [m], shape (3,), at joints (dof,).
+            place: Returns the position of the TCP [m], shape (3,), for joints [rad], shape (dof,).
         """
         self._robot = robot
         self._place = place
@@ -49,37 +49,37 @@ class ServoMode:
         self._goal: Vector | None = None
         self._pointed = -BUSY_TICKS
         self.reference = robot.joints
-        """Where the joints are led [rad], shape (dof,)."""
+        """Reference of the joints [rad], shape (dof,)."""
         self._gap = self._left = float(CYCLE)
         self._past: deque[Vector] = deque(maxlen=WINDOW)
 
     @property
     def newest(self) -> Vector:
-        """The newest point, or where the joints are led without one [rad], shape (dof,)."""
+        """The newest setpoint, or the reference without one [rad], shape (dof,)."""
         return self.reference if self._goal is None else self._goal
 
     @property
     def is_moving(self) -> bool:
-        """Whether there was a point a short time ago."""
+        """True if a setpoint has arrived within `BUSY_TICKS`."""
         return self._ticks - self._pointed < BUSY_TICKS
 
     def tick(self) -> None:
-        """Let a tick pass."""
+        """Count a tick."""
         self._ticks += 1
 
     def start(self) -> None:
-        """Start a stream of points from where the arm was commanded last."""
+        """Start a stream of setpoints at the last commanded position."""
         self._goal = None
         self.reference = self._robot.commanded
         self._past.extend([self.reference] * WINDOW)
 
     def end(self) -> None:
-        """Forget all points."""
+        """Discard all setpoints."""
         self._goal = None
         self._pointed = -BUSY_TICKS
 
     def take(self, joints: Vector) -> None:
-        """Take a point [rad], shape (dof,), in place of the one before."""
+        """Replace the setpoint [rad], shape (dof,)."""
         gap = self._ticks - self._pointed
         if gap:
             self._gap += 0.2 * (gap - self._gap) if gap < LONGEST_GAP else CYCLE - self._gap
@@ -88,13 +88,13 @@ class ServoMode:
         self._pointed = self._ticks
 
     def advance(self, sensitivity: int) -> tuple[Code, str] | None:
-        """Lead the joints for one tick.
+        """Move the joints for one tick.
 
         Args:
-            sensitivity: Sensitivity to collisions, 0 to 5.
+            sensitivity: Collision sensitivity, 0 to 5.
 
         Returns:
-            The error that stops the arm, and its reason; None if there is none.
+            The error that stops the arm and its reason; None without an error.
         """
         reference = self.reference
         if self._goal is not None and self._left > 0:
@@ -109,7 +109,7 @@ class ServoMode:
         return None
 
     def _trouble_at(self, reference: Vector, speeds: Vector, sensitivity: int) -> tuple[Code, str] | None:
-        """Return the error of leading the joints to a reference, and its reason."""
+        """Return the error that a reference causes and its reason; None without an error."""
         if (fastest := np.abs(speeds)).max() > JOINT_SPEED:
             return Code.JOINT_SPEED, f"joint {fastest.argmax() + 1} is too fast"
         way = self._place(reference) - self._place(self._past[0])

@@ -1,7 +1,7 @@
-"""The controller of an xArm7, as its ports show it: commands on port 502, and its three streams of reports.
+"""The ports of an xArm7 controller: commands on port 502, and three streams of reports.
 
-Clients see firmware 2.7.1. Reports come on port 30001 (normal) and 30002 (rich) five times a second, on 30003 (real) a
-hundred times. The functions are those of the vendor's public SDK.
+Clients see firmware 2.7.1. Ports 30001 (normal) and 30002 (rich) send five reports a second, port 30003 (real) a
+hundred. The functions are those of the vendor's public SDK.
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ from rcs.virtual.xarm_messages import (
 from rcs.virtual.xarm_servo import RATE, ServoMode
 
 VERSION: Final = "2.7.1"
-"""Of the firmware."""
+"""Version of the firmware."""
 TOOL_BUS: Final = 9
-"""Number of the line RS-485 at the flange among those that the controller passes frames to."""
+"""Number of the RS-485 line at the flange in requests to pass a frame."""
 
 Vector = NDArray[np.float64]
 _ONE_BRANCH = IkOptions(translation_tolerance=1e-6, rotation_tolerance=1e-6, restarts=0)
 
 
 class _Refusal(Exception):
-    """What a command asks for cannot be."""
+    """A command that the controller refuses."""
 
 
 class XarmWire(Wire):
-    """Speaks for one arm, and for a Robotiq gripper on the line at its flange."""
+    """Implements the interface of an arm and of a Robotiq gripper on the line at its flange."""
 
     rate: ClassVar[int] = RATE
     address: ClassVar[str] = "127.0.0.1"
@@ -70,19 +70,19 @@ class XarmWire(Wire):
         "version": "N",
         "gripper": "CODE",
     }
-    """A reflex is C31, `user_stop` the emergency stop's button (C1), an overloaded joint C11 to C17, undervoltage an
+    """A reflex is C31, `user_stop` the emergency stop button (C1), an overloaded joint C11 to C17, undervoltage an
     error of the servos (C10); `version` is that of the firmware, such as 1.8.0, and `gripper` a code of the register
-    FLT, where 0 stands for power that fails."""
+    FLT, with 0 for a power failure."""
 
     def __init__(self, robot: VirtualRobot, address: str) -> None:
-        """Listen on all ports; the motors are off, and the brakes hold the arm.
+        """Listen on all ports, with the motors off and the brakes engaged.
 
         Args:
             robot: The arm.
-            address: An IP address of this machine, which no other controller has: the ports are fixed.
+            address: An IP address of this machine that no other controller uses, since the ports are fixed.
 
         Raises:
-            InvalidSetup: A port is taken, or port 502 needs rights that this user does not have.
+            InvalidSetup: A port is taken, or the user lacks the permission to use port 502.
         """
         self._address = address
         self._robot = robot
@@ -132,19 +132,19 @@ class XarmWire(Wire):
             return TcpPort(self._address, port)
         except PermissionError as err:
             raise InvalidSetup(
-                f"A virtual xArm listens on port {port}, as the real one does, which this user may not: run it as root,"
-                f" or permit it with: sudo sysctl -w net.ipv4.ip_unprivileged_port_start={COMMAND_PORT}"
+                f"A virtual xArm needs port {port}, like a real one, but this user has no permission: run it as root,"
+                f" or permit it by: sudo sysctl -w net.ipv4.ip_unprivileged_port_start={COMMAND_PORT}"
             ) from err
         except OSError as err:
             raise taken("A virtual xArm", f"{self._address}:{port}", err) from err
 
     def site(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return how driver `xarm` reaches the arm and its gripper."""
+        """Return the site entries of the arm and its gripper for the driver `xarm`."""
         entry = {"driver": "xarm", "address": self._address}
         return {"arms": entry} if self._gripper is None else {"arms": entry, "grippers": entry}
 
     def files(self) -> Sequence[TcpConnection]:
-        """Return the clients: they wait for each answer, so no tick may pass before it."""
+        """Return the clients, which wait for each answer and must be served before the next tick."""
         return [] if self._robot.line.is_cut else self._ports[COMMAND_PORT].connections
 
     def receive(self, file: TcpConnection) -> None:
@@ -155,7 +155,7 @@ class XarmWire(Wire):
             self._ports[COMMAND_PORT].connections.remove(file)
 
     def tick(self, robot: VirtualRobot) -> None:
-        """Lead the arm for 2 ms, and report."""
+        """Move the arm for 2 ms and send reports."""
         self._ticks += 1
         self._servo.tick()
         if not robot.line.is_cut:
@@ -179,14 +179,14 @@ class XarmWire(Wire):
         if self._gripper is not None:
             self._gripper.close()
 
-    # --- What happens to it ---
+    # --- Faults ---
 
     def tell(self, fault: Fault) -> None:
-        """Have one of `faults` happen.
+        """Apply one of `faults`.
 
         Raises:
             UnknownName: The robot has no such joint.
-            InvalidSetup: A number makes no sense.
+            InvalidSetup: A value is invalid.
         """
         match fault.name:
             case "reflex":
@@ -200,11 +200,11 @@ class XarmWire(Wire):
                 self._fail(Code.SERVOS, "told")
             case "code":
                 if not 1 <= fault.number <= 255:
-                    raise InvalidSetup(f"The code is {fault.value!r}; valid is one from 1 to 255.")
+                    raise InvalidSetup(f"The code is {fault.value!r}; valid: 1 to 255.")
                 self._fail(int(fault.number), "told")
             case "version":
                 if not re.fullmatch(r"\d+\.\d+\.\d+", fault.value):
-                    raise InvalidSetup(f"The version is {fault.value!r}; valid is one such as 1.8.0.")
+                    raise InvalidSetup(f"The version is {fault.value!r}; valid is a version such as 1.8.0.")
                 self._version = fault.value
             case _:
                 if self._gripper is None or not 0 <= fault.number <= 15:
@@ -214,14 +214,14 @@ class XarmWire(Wire):
                 self._gripper.tell(int(fault.number))
 
     def clear(self) -> None:
-        """Release the emergency stop's button; errors stay until a client cleans them."""
+        """Release the emergency stop button; errors remain until a client clears them."""
         self._version = VERSION
         self._is_button_pressed = False
         if self._gripper is not None:
             self._gripper.clear()
 
     def _fail(self, code: int, reason: str) -> None:
-        """Stop for an error, which stays until it is cleaned; the first one counts."""
+        """Stop with an error that remains until it is cleared; the first one counts."""
         if self._error:
             return
         self._error = code
@@ -246,7 +246,7 @@ class XarmWire(Wire):
         self._robot.brake()
 
     def _lead(self) -> None:
-        """Go on to the newest point, and stop where a real controller does."""
+        """Move towards the newest setpoint, and stop under the conditions of a real controller."""
         if not self._is_ready:
             self._servo.reference = self._robot.commanded
         elif self._mode == Mode.MANUAL:
@@ -256,7 +256,7 @@ class XarmWire(Wire):
             self._fail(*trouble)
 
     def _pose(self, joints: Vector) -> Vector:
-        """Return the pose of the TCP as the controller has it: mm, and roll, pitch, yaw [rad]."""
+        """Return the pose of the TCP in the controller's format: translation [mm], and roll, pitch, yaw [rad]."""
         return pose_values(self._flange.forward(joints) * self._tool)
 
     # --- Commands ---
@@ -271,7 +271,7 @@ class XarmWire(Wire):
         self._robot.line.send(packet, lambda passed: client.send(packet) if passed == packet else None)
 
     def _answer(self, function: int, values: bytes) -> bytes:
-        """Do what a command says, and return the state byte and values."""
+        """Execute a command and return the state byte and values."""
         refused = 0
         found = b""
         try:
@@ -339,9 +339,9 @@ class XarmWire(Wire):
         return b""
 
     def _point(self, joints: Vector) -> None:
-        """Take a point; the one before counts no more."""
+        """Replace the setpoint."""
         if self._error or not self._is_ready:
-            return  # the state byte tells
+            return  # the state byte reports it
         if self._mode != Mode.SERVO:
             raise _Refusal
         if ((joints >= self._lower - 1e-6) & (joints <= self._upper + 1e-6)).all():
@@ -365,7 +365,7 @@ class XarmWire(Wire):
         return b""
 
     def _joints(self, values: bytes) -> bytes:
-        """Return where joints are led or, on a number of rows, what is measured: positions, velocities, torques."""
+        """Return the joints' reference or, for a given number of rows, measured positions, velocities and torques."""
         if not values:
             return floats(self._servo.reference)
         rows = (self._robot.joints, self._robot.velocities, self._robot.torques)[: values[0] & 0x0F]
