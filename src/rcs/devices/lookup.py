@@ -60,7 +60,7 @@ def name_of(kind: Kind, given: Any) -> str:
 
     Args:
         kind: Kind of plugin.
-        given: A name, or a class; for descriptions (arms, labs and their parts), also an object that is a global variable.
+        given: A name or a class; for descriptions (arms, labs, their parts), also an object in a global variable.
 
     Raises:
         InvalidSetup: The object is none of these.
