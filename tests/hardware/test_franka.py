@@ -132,7 +132,7 @@ class TestFrankaHand(GripperContract):
 def test_an_address_where_nobody_is_is_told_with_what_to_look_at():
     arm = FrankaArm("127.0.52.99", FR3)
     began = time.monotonic()
-    with pytest.raises(DeviceFault, match=r"127\.0\.52\.99.*refused.*cable.*FCI.*another program"):
+    with pytest.raises(DeviceFault, match=r"127\.0\.52\.99.*refused.*cable.*FCI.*other program"):
         arm.open()
     assert time.monotonic() - began < 3.0
 

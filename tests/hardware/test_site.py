@@ -48,7 +48,7 @@ def test_a_site_is_what_its_file_says(tmp_path: Path) -> None:
         ('{"stale_after": NaN}', "above 0"),
         ('{"stale_after": Infinity}', "above 0"),
         ('{"stale_after": true}', "above 0"),
-        ('{"arms": {"fr3": {"driver": "fake", "address": 5}}}', "'fr3': The address of a device is 5; valid is a text"),
+        ('{"arms": {"fr3": {"driver": "fake", "address": 5}}}', "'fr3': The address of a device is 5; valid is a string"),
         ('{"arms": {"fr3": {"driver": 5}}}', "'fr3': The driver of a device is 5"),
         ('{"arms": {"fr3": {"driver": "fake", "options": [1]}}}', "mapping from names to values"),
         ('{"arms": ' * 100_000, "cannot be read"),
@@ -174,9 +174,9 @@ def test_a_tactile_sensor_that_is_not_real_is_simulated() -> None:
 
 
 def test_a_driver_says_what_it_does_not_have() -> None:
-    with pytest.raises(InvalidSetup, match="Bare has no arms"):
+    with pytest.raises(InvalidSetup, match="Bare makes no arms"):
         Bare().arm("", FR3, {})
-    with pytest.raises(InvalidSetup, match="Bare has no tactile sensors"):
+    with pytest.raises(InvalidSetup, match="Bare makes no tactile sensors"):
         rcs.make("Free", tactile="digit", hardware=Site(tactile={"fr3_left": f"{__name__}:Bare"}))
     assert FakeDriver().arm("a", FR3, {}).name == "a"
 

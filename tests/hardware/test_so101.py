@@ -281,7 +281,7 @@ def recovers(arm: So101Arm) -> bool:
 def test_a_servo_of_another_model_is_refused(virtual):
     virtual.tell("version", "1284")
     arm, _ = devices(virtual)
-    with pytest.raises(DeviceFault, match=r"shoulder_pan is of the model 1284.*777"):
+    with pytest.raises(DeviceFault, match=r"shoulder_pan has the model number 1284.*777"):
         arm.open()
 
 

@@ -176,7 +176,7 @@ def test_a_first_target_far_away_is_refused_and_nothing_moves(arm: Arm) -> None:
         (("overload", "joint4"), "C14: joint4", 0.1),
         (("user_stop",), "C1: emergency stop", 0.1),
         (("undervoltage",), "C10: the servos", 0.1),
-        (("code", "24"), "C24: a joint was led too fast", 0.1),
+        (("code", "24"), "C24: a joint was commanded too fast", 0.1),
         (("code", "99"), "C99: see the manual", 0.1),
         (("freeze", "1"), "has not answered", 0.3),
         (("lose", "400"), "has not answered", 0.3),

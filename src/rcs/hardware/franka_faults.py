@@ -107,7 +107,7 @@ def connected(make: Callable[[], T], address: str, what: str) -> T:
             )
         else:
             hint = advice_for(address)
-        raise DeviceFault(f"Cannot connect to {what} at {address}: {text} {hint}") from err
+        raise DeviceFault(f"cannot connect to {what} at {address}: {text} {hint}") from err
 
 
 def within(seconds: float, call: Callable[[], T]) -> T:
