@@ -359,7 +359,7 @@ def _giving_way(drivers: dict[str, Driver], given: AnyDevice, robot: str, compli
         return given
     if not can_give_way:
         raise InvalidSetup(
-            f"The setup has a compliance, but the driver {given.driver!r} of {robot!r} does not support it; valid "
+            f"The setup has a compliance, but {robot!r} does not support it with the driver {given.driver!r}; valid "
             "are simulated arms and those of the driver 'franka'. Leave compliance out for a stiff arm."
         )
     return dataclasses.replace(given, options={**given.options, "compliance": compliance})
