@@ -24,7 +24,7 @@ import tyro
 from numpy.typing import NDArray
 
 import rcs
-from rcs.envs.ports.pixels import PixelPort
+from rcs.envs.ports.simulated_cameras import PixelPort
 from rcs.envs.vector import VecEnv
 from rcs.sim.pixels import Pixels
 

@@ -53,8 +53,8 @@ class Worker(Generic[Item]):
                 self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
                 self._thread.start()
 
-    def wait(self, timeout: float) -> bool:
-        """Wait until all items are handled, or for a time [s]; return whether they are."""
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until all items are handled, at most for a time [s]; return whether they are."""
         with self.changed:
             self.changed.wait_for(lambda: self._is_ending or not (self.waiting or self._is_busy), timeout)
             return not (self.waiting or self._is_busy)

@@ -22,11 +22,10 @@ from rcs.envs.layers import (
 from rcs.envs.native import native_space, require_native
 from rcs.envs.parts import Parts
 from rcs.envs.ports.camera import CameraPort, FreshFrames
-from rcs.envs.ports.follow import FollowPort
 from rcs.envs.ports.loads import PrivilegedPort, SimContactPort, SimLoadPort
-from rcs.envs.ports.pixels import PixelPort
 from rcs.envs.ports.port import ArmPort, GripperPort, HandPort, Port, is_streamed
-from rcs.envs.ports.simulated import SimArmPort, SimCameraPort, SimGripperPort, SimHandPort, SimTactilePort
+from rcs.envs.ports.simulated import FollowPort, SimArmPort, SimGripperPort, SimHandPort
+from rcs.envs.ports.simulated_cameras import PixelPort, SimCameraPort, SimTactilePort
 from rcs.envs.setup import Setup
 from rcs.envs.start import base_in_scene
 from rcs.envs.step.chain import Chain

@@ -14,7 +14,7 @@ from rcs_data.flags import FrameFlag, flags_key, time_key
 from rcs.envs import spaces as keys
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.observers.recorder import OBSERVATION, TIME_MONOTONIC, versions
-from rcs.envs.ports.simulated import SimCameraPort
+from rcs.envs.ports.simulated_cameras import SimCameraPort
 from rcs.errors import InvalidSetup
 from rcs.rollout.derived_dataset import Derivation, EpisodeMaker, derive
 from rcs.rollout.recorded_setup import physics_of, require_states, setup_of

@@ -12,7 +12,7 @@ from rcs_data.flags import FrameFlag
 
 import rcs
 from rcs.envs.observers.recorder import Recorder, dataset_info
-from rcs.envs.ports.simulated import SimCameraPort
+from rcs.envs.ports.simulated_cameras import SimCameraPort
 from rcs.testing.env_contract import require_same_bits
 
 pytestmark = pytest.mark.gl

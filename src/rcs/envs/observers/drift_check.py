@@ -1,14 +1,12 @@
-"""Checks, while an environment runs, that a camera still is where its calibration says.
+"""Checks, while an environment runs, that a camera still is where its calibration puts it.
 
-Tags are looked for in a thread of its own, so that no step waits: while it works on a picture, the newest one waits,
-and those in between are counted as missed.
+A thread looks for tags, so that no step waits. While it works on a picture, the newest one waits, and those in between
+are counted as missed.
 """
 
 from __future__ import annotations
 
 import logging
-import queue
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -20,6 +18,7 @@ from rcs.calibration.drift import Drift, reprojection_errors
 from rcs.envs.observer import Observer, Transition
 from rcs.envs.spaces import DISTORTION, EXTRINSICS, FRAMES, INTRINSICS, RGB, Observation
 from rcs.spatial import Intrinsics
+from rcs.worker import Worker
 
 BoardPlace = Callable[[Observation], NDArray[np.float64]]
 """Returns the pose of a board, (4, 4), in the frame of the cameras' `extrinsics`."""
@@ -28,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 class DriftCheck(Observer):
-    """Compares where a known board is seen with where it is expected; warns once when that drifts apart.
+    """Compares the place at which a board is seen with the expected one, and warns once when they drift apart.
 
     `drift.pixels` is the present error. With `note`, it is given to `env.note` as `drift_px` at every step that follows
     a picture with tags; a recorder that is made with `notes=("drift_px",)` keeps it.
@@ -44,12 +43,12 @@ class DriftCheck(Observer):
         note: Callable[..., None] | None = None,
         on_alarm: Callable[[float], None] | None = None,
     ) -> None:
-        """Start the thread.
+        """Look at nothing yet; the thread starts with the first picture.
 
         Args:
             camera: Name of the camera, whose frames have `extrinsics`.
             board: The board.
-            place: Where it is.
+            place: Returns its pose.
             drift: Judges the errors; None for one with usual limits.
             note: `env.note`, to have the error recorded.
             on_alarm: Called once, in the thread of this observer, with the error [px].
@@ -57,20 +56,17 @@ class DriftCheck(Observer):
         self.camera = camera
         self.drift = drift or Drift()
         self.pictures = 0
-        """Pictures that were looked at."""
+        """Number of pictures that were looked at."""
         self.missed = 0
-        """Pictures that were not, because the one before took too long."""
+        """Number of pictures that were left out because the one before took too long."""
         self.has_alarmed = False
-        """Whether the calibration did not hold at some time."""
+        """Whether the drift has exceeded its limit at some time."""
         self._board = board
         self._place = place
         self._note = note
         self._on_alarm = on_alarm
         self._last: Any = None
-        self._failure: Exception | None = None
-        self._waiting: queue.Queue[Transition | None] = queue.Queue(maxsize=1)
-        self._thread = threading.Thread(target=self._work, name=f"drift check of {camera}", daemon=True)
-        self._thread.start()
+        self._worker = Worker(f"drift check of {camera}", self._look)
 
     def on_reset(self, first: Transition, seed: int | None) -> None:
         """Look at the first picture."""
@@ -84,36 +80,21 @@ class DriftCheck(Observer):
         if EXTRINSICS not in frame or INTRINSICS not in frame or frame[RGB] is self._last:
             return
         self._last = frame[RGB]
-        if self._failure is not None:
-            raise self._failure
-        try:
-            self._waiting.get_nowait()
-            self._waiting.task_done()
-            self.missed += 1
-        except queue.Empty:
-            pass
-        self._waiting.put(transition)
+        if self._worker.error is not None:
+            raise self._worker.error
+        with self._worker.changed:
+            self.missed += len(self._worker.waiting)
+            self._worker.waiting.clear()
+            self._worker.put(transition.observation)
 
     def wait(self) -> None:
         """Wait until all pictures that were handed over have been looked at."""
-        self._waiting.join()
+        self._worker.wait()
 
     def close(self) -> None:
-        """End the thread. Closing twice is harmless."""
-        if self._thread.is_alive():
-            self._waiting.join()
-            self._waiting.put(None)
-            self._thread.join()
-
-    def _work(self) -> None:
-        while (transition := self._waiting.get()) is not None:
-            try:
-                self._look(transition.observation)
-            except Exception as err:  # noqa: BLE001  raised by the next step, in the thread of the environment
-                self._failure = err
-                return
-            finally:
-                self._waiting.task_done()
+        """Look at the last picture and end the thread. Closing twice is harmless."""
+        self._worker.wait()
+        self._worker.close()
 
     def _look(self, observation: Observation) -> None:
         frame = observation[FRAMES][self.camera]

@@ -17,7 +17,7 @@ from rcs.devices import Camera, Frame
 from rcs.envs import spaces as keys
 from rcs.envs.gates.gate import Gate
 from rcs.envs.ports.port import Port
-from rcs.envs.spaces import Action, Arrays, Observation
+from rcs.envs.spaces import Action, Observation
 from rcs.errors import DeviceFault, InvalidSetup, Refused
 from rcs.hardware.site import OnStale
 from rcs.robots.calibration import CameraCalibration, describe
@@ -186,7 +186,6 @@ class CameraPort(Port):
         self._on_stale = on_stale
         self._now = now
         self.timed = tuple(f"{keys.FRAMES}/{name}" for name in cameras)
-        self.action_spaces = {}
         self._cameras = dict(cameras)
         self._descriptions = dict(descriptions)
         self._calibrations = dict(calibrations or {})
@@ -251,9 +250,6 @@ class CameraPort(Port):
             else:
                 cameras[name] = {"source": "data sheet"}
         return {"cameras": cameras} if cameras else {}
-
-    def command(self, action: Arrays) -> None:
-        """Do nothing: a camera takes no commands."""
 
     def observe(self) -> Observation:
         """Return the newest frame of every camera."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rcs._core import FreeBodyVelocity
 from rcs.envs import spaces as keys
 from rcs.envs.ports.port import Port
-from rcs.envs.spaces import Arrays, Observation
+from rcs.envs.spaces import Observation
 from rcs.envs.start import base_in_scene, in_frame_of
 from rcs.envs.task import Task
 from rcs.errors import InvalidSetup
@@ -23,18 +23,7 @@ from rcs.sim.world import World
 from rcs.spatial import Pose
 
 
-class SensorPort(Port):
-    """A port that only observes."""
-
-    def __init__(self) -> None:
-        """Take no commands."""
-        self.action_spaces = {}
-
-    def command(self, action: Arrays) -> None:
-        """Do nothing: a sensor takes no commands."""
-
-
-class SimLoadPort(SensorPort):
+class SimLoadPort(Port):
     """Torques at the joints and the wrench on the tool of a simulated robot."""
 
     def __init__(self, robot: SimRobot, observed: Collection[keys.Observed]) -> None:
@@ -44,7 +33,6 @@ class SimLoadPort(SensorPort):
             robot: The robot.
             observed: `torques`, `wrench` or both.
         """
-        super().__init__()
         self._loads = SimLoads(robot)
         own = keys.load_spaces(robot.placement.arm.effort_limit)
         self.observation_spaces = {keys.LOADS[name]: own[keys.LOADS[name]] for name in keys.LOADS if name in observed}
@@ -55,7 +43,7 @@ class SimLoadPort(SensorPort):
         return {key: loads[key] for key in self.observation_spaces}
 
 
-class SimContactPort(SensorPort):
+class SimContactPort(Port):
     """Which fingers of a simulated gripper or hand touch something, and whether they hold an object."""
 
     def __init__(self, robot: SimRobot) -> None:
@@ -64,7 +52,6 @@ class SimContactPort(SensorPort):
         Raises:
             InvalidSetup: It has none.
         """
-        super().__init__()
         self._contacts = SimContacts(robot)
         self.observation_spaces = {
             keys.FINGER_CONTACTS: keys.flags_space(self._contacts.fingers),
@@ -76,7 +63,7 @@ class SimContactPort(SensorPort):
         return {keys.FINGER_CONTACTS: self._contacts.touches, keys.IS_GRASPED: self._contacts.is_grasped}
 
 
-class PrivilegedPort(SensorPort):
+class PrivilegedPort(Port):
     """Poses and velocities of the task's objects, which no real robot knows, as `privileged`/object."""
 
     def __init__(self, world: World, robots: list[SimRobot], task: Task) -> None:
@@ -85,7 +72,6 @@ class PrivilegedPort(SensorPort):
         Raises:
             InvalidSetup: The task tells no poses of objects, or one has the name of no body.
         """
-        super().__init__()
         told, task_name = task.object_poses(), type(task).__name__
         if not told and task.objects():
             raise InvalidSetup(

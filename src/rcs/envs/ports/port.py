@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
+from types import MappingProxyType
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -38,8 +39,8 @@ def is_streamed(device: object) -> TypeGuard[StreamedArm | HostedArm]:
 class Port(ABC):
     """One device, or several that are read together, as keys of actions and observations."""
 
-    action_spaces: Mapping[str, spaces.Box]
-    """Space of every key that the port takes."""
+    action_spaces: Mapping[str, spaces.Box] = MappingProxyType({})
+    """Space of every key that the port takes; none for a sensor."""
     observation_spaces: Mapping[str, spaces.Space[Any]]
     """Space of every key that the port gives."""
     joint_space: spaces.Box | None = None
@@ -58,8 +59,7 @@ class Port(ABC):
         """What recordings keep about the port's sensors, as JSON values: dictionaries by name under each key."""
         return {}
 
-    @abstractmethod
-    def command(self, action: Arrays) -> None:
+    def command(self, action: Arrays) -> None:  # noqa: B027  a sensor takes no commands
         """Set the device's targets from the port's keys in a checked action; in a synchronous step, again and again."""
 
     @abstractmethod
