@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -17,7 +16,6 @@ from rcs.tasks import Free
 
 
 class Sorting(Task):
-    @dataclass(frozen=True, kw_only=True)
     class Options(Task.Options):
         order: Literal["colour", "size"] = "colour"
         pieces: int = 3
@@ -47,13 +45,13 @@ def test_without_options_a_task_has_its_defaults() -> None:
     ("name", "value", "valid"),
     [
         ("order", None, "'colour', 'size'"),
-        ("pieces", 2.0, "int"),
-        ("pieces", True, "int"),
+        ("pieces", 2.0, "a whole number"),
+        ("pieces", True, "a whole number"),
         ("gap", float("nan"), "finite"),
         ("gap", "wide", "finite"),
         ("gap", True, "finite"),
-        ("is_timed", 1, "bool"),
-        ("label", 7, "str"),
+        ("is_timed", 1, "True, False"),
+        ("label", 7, "a text"),
     ],
 )
 def test_a_value_of_the_wrong_kind_is_refused_with_what_is_valid(name: str, value: Any, valid: str) -> None:

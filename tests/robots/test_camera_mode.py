@@ -57,7 +57,7 @@ def test_a_size_that_is_cut_out_has_the_rates_of_the_modes_around_it() -> None:
     "figures", [(0, 480, (30,)), (640, -1, (30,)), (640, 480, ()), (640, 480, (30, 30)), (1, 1, (0,))]
 )
 def test_a_mode_that_makes_no_sense_is_refused(figures: tuple[int, int, tuple[int, ...]]) -> None:
-    with pytest.raises(InvalidSetup, match="positive"):
+    with pytest.raises(InvalidSetup, match="valid"):
         ResolutionMode(*figures)
 
 

@@ -33,7 +33,7 @@ def test_every_arm_feels_a_collision_before_its_drives_give_in(arm: Any) -> None
 )
 def test_limits_that_make_no_sense_are_refused(change: Any) -> None:
     form: dict[str, Any] = {"joint_torque": (10.0,) * 7, **change}
-    with pytest.raises(InvalidSetup, match="ollision limits"):
+    with pytest.raises(InvalidSetup, match="valid"):
         CollisionLimits(**form)
 
 

@@ -39,7 +39,7 @@ def test_json_and_pickle_give_the_same_compliance_back_alone_and_in_a_setup(give
     [
         ({}, "got neither"),
         ({"joints": 1.0, "tcp": (1, 1)}, "got both"),
-        ({"joints": 0.0}, "joints is 0.0; valid: a sequence with each a finite number above 0"),
+        ({"joints": 0.0}, "joints is 0.0; valid: a sequence, each a finite number above 0"),
         ({"joints": -5}, "above 0"),
         ({"joints": (100, float("nan"))}, "finite"),
         ({"joints": float("inf")}, "finite"),
@@ -50,7 +50,7 @@ def test_json_and_pickle_give_the_same_compliance_back_alone_and_in_a_setup(give
         ({"tcp": (1, 2, 3)}, "tcp has 3 numbers"),
         ({"tcp": (500, -1)}, "above 0"),
         ({"tcp": (500, 30), "damping": (1, 2, 3)}, "damping has 3 numbers"),
-        ({"joints": 10, "damping": -1}, "damping is -1; valid: a sequence with each a finite number from 0"),
+        ({"joints": 10, "damping": -1}, "damping is -1; valid: a sequence, each a finite number from 0"),
     ],
 )
 def test_what_makes_no_sense_is_refused(given: Any, match: str) -> None:

@@ -59,7 +59,7 @@ def test_the_image_is_upright_like_the_gel() -> None:
 
 
 def test_figures_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(InvalidSetup, match="positive"):
+    with pytest.raises(InvalidSetup, match="valid"):
         replace(DIGIT, gel_width=0.0)
     with pytest.raises(InvalidSetup, match="larger than a sphere"):
         replace(DIGIT, gel_curvature_radius=0.01)

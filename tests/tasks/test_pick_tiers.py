@@ -121,7 +121,7 @@ def test_a_recording_of_the_hardest_replays_bit_for_bit(tmp_path: Path) -> None:
     [
         ({"distractors": 17}, "from 0 to 16"),
         ({"distractors": -1}, "from 0 to 16"),
-        ({"distractors": 2.5}, "type int"),
+        ({"distractors": 2.5}, "distractors is 2.5; valid: a whole number"),
         ({"pose": "upside down"}, "'standing'"),
         ({"edges": "huge"}, "'random'"),
         ({"area": "everywhere"}, "'large'"),

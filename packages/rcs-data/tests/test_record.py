@@ -98,7 +98,7 @@ def test_a_record_inside_of_a_record_may_be_of_a_subclass_and_stays_it() -> None
         ({"rate": math.nan}, "rate is nan; valid: a finite number above 0, or None."),
         ({"rate": math.inf}, "rate is inf; valid: a finite number above 0, or None."),
         ({"rate": True}, "rate is True; valid: a finite number above 0, or None."),
-        ({"share": 1.5}, "share is 1.5; valid: a finite number from 0 and up to 1."),
+        ({"share": 1.5}, "share is 1.5; valid: a finite number from 0 to 1."),
         ({"limit": math.nan}, "limit is nan; valid: a number above 0."),
         ({"on": 1}, "on is 1; valid: True, False."),
         ({"mode": "joint"}, "mode is 'joint'; valid: 'joints', 'pose'. Did you mean 'joints'?"),
@@ -107,7 +107,7 @@ def test_a_record_inside_of_a_record_may_be_of_a_subclass_and_stays_it() -> None
         ({"size": 3}, "size is 3; valid: an object of Size, or None."),
         ({"size": {"width": 0}}, "size: width is 0; valid: a whole number from 1."),
         ({"sizes": {"a": {"widht": 1}}}, "sizes: There is no option of Size named 'widht'. Did you mean 'width'?"),
-        ({"edge": (1,)}, "edge is (1,); valid: a whole number from 1, or a sequence (a whole number from 1,"),
+        ({"edge": (1,)}, "edge is (1,); valid: a whole number from 1, or a sequence of 2, each a whole number from 1"),
         ({"edge": (0, 1)}, "edge is (0, 1); valid"),
     ],
 )

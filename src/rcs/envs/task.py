@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.record import Positive, Record
 
 from rcs.errors import InvalidSetup
 
@@ -26,15 +26,14 @@ TRIES = 16
 """Draws of a place apart from another one: with the built-in areas, one is far enough in all but 1 of 10^4 episodes."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Area:
+class Area(Record):
     """A rectangle on the table in which a task takes place."""
 
     center: tuple[float, float] = (0.5, 0.0)
     """x, y in the scene [m]; with one robot, its base frame is the scene's."""
     size: tuple[float, float] = (0.30, 0.40)
     """Extent along x and y [m]."""
-    object_scale: float = 1.0
+    object_scale: Positive = 1.0
     """Size of the objects in proportion to the paper's, for robots that are smaller."""
     large_center: tuple[float, float] | None = None
     """Centre of a larger rectangle, all of which the robot reaches from above, for harder tasks; None for `center`."""
@@ -109,34 +108,8 @@ class Task(ABC):
     expert: ClassVar[str | type | None] = None
     """The agent that can do the task: its class, `module:Class`, or the name of an entry point of `rcs.agents`."""
 
-    @dataclass(frozen=True, kw_only=True)
-    class Options:
+    class Options(Record):
         """Options of every task; a task with more options subclasses this as its own `Options`."""
-
-        def __post_init__(self) -> None:
-            """Check the values.
-
-            Raises:
-                InvalidSetup: A value is not of its field's type; the message says what is valid.
-            """
-            for name, kind in get_type_hints(type(self)).items():
-                value = getattr(self, name)
-                if get_origin(kind) is Literal:
-                    is_valid, valid = value in get_args(kind), ", ".join(map(repr, get_args(kind)))
-                elif kind is float:
-                    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-                    is_valid, valid = is_number and math.isfinite(value), "a finite number"
-                else:
-                    is_valid, valid = (
-                        kind not in (bool, int, str) or type(value) is kind,
-                        f"a value of type {getattr(kind, '__name__', kind)}",
-                    )
-                if not is_valid:
-                    raise InvalidSetup(f"The task option {name} is {value!r}; valid: {valid}.")
-
-        def to_json(self) -> dict[str, Any]:
-            """Return the options as JSON values; `parse_options` reads them."""
-            return dataclasses.asdict(self)
 
     def __init__(self, area: Area, options: Options | Mapping[str, Any] | None = None) -> None:
         """Set area and options.
@@ -168,14 +141,17 @@ class Task(ABC):
                 f"The options of the task {cls.__name__} are {values!r}; valid is a {cls.__name__}.Options, a mapping "
                 "with some of its fields, or None."
             )
-        valid = [option.name for option in dataclasses.fields(cls.Options)]
+        valid = [option.name for option in dataclasses.fields(cls.Options)]  # pyright: ignore[reportArgumentType]
         if "reward" in (values or ()) and "reward" not in valid:
             raise InvalidSetup(
                 "The reward is no option of a task but of the setup: reward='sparse', as `rcs.Setup` says."
             )
         if unknown := sorted(set(values or ()) - set(valid), key=str):
             raise InvalidSetup(f"The task {cls.__name__} has no options {unknown}; valid: {', '.join(valid)}.")
-        return cls.Options(**(values or {}))
+        try:
+            return cls.Options(**(values or {}))
+        except InvalidSetup as err:
+            raise InvalidSetup(f"The task option {err}") from err
 
     def furnish(self, scene: Scene) -> None:  # noqa: B027  an empty scene is a fine scene
         """Add the task's objects to a scene before it is compiled."""

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from rcs_data.record import Record, Whole
 
 from rcs.errors import InvalidSetup, UnknownName
 
 
-@dataclass(frozen=True)
-class ResolutionMode:
+class ResolutionMode(Record, kw_only=False):
     """One colour format of a camera."""
 
-    width: int
+    width: Whole
     """Pixels."""
-    height: int
+    height: Whole
     """Pixels."""
-    rates: tuple[int, ...]
+    rates: tuple[Whole, ...]
     """Frame rates to choose from, ascending [frames/s]."""
 
     def __post_init__(self) -> None:
@@ -26,9 +26,9 @@ class ResolutionMode:
         Raises:
             InvalidSetup: A size or rate is not positive, there is no rate, or rates do not ascend.
         """
-        ascends = all(a < b for a, b in zip(self.rates, self.rates[1:], strict=False))
-        if min(self.width, self.height, *self.rates, 1) <= 0 or not self.rates or not ascends:
-            raise InvalidSetup(f"{self} needs a positive width and height, and positive ascending rates.")
+        super().__post_init__()
+        if not self.rates or any(a >= b for a, b in zip(self.rates, self.rates[1:], strict=False)):
+            raise InvalidSetup(f"rates is {self.rates}; valid are ascending rates, at least one.")
 
     @property
     def name(self) -> str:

@@ -8,20 +8,21 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.record import Meta, NotNegative, Positive, Record, Share
 
 from rcs._core import ArmLimits, MotionLimits
 from rcs.errors import InvalidSetup
 from rcs.robots.camera_mode import ResolutionMode, choose_rate, find_mode
 from rcs.robots.collision_limits import CollisionLimits
 from rcs.robots.menagerie import MenagerieBody, MenagerieVisuals
-from rcs.robots.mount import Mount, require_numbers
+from rcs.robots.mount import Mount
 
 __all__ = [
     "ArmDescription",
@@ -36,26 +37,38 @@ __all__ = [
     "ResolutionMode",
 ]
 
-if TYPE_CHECKING:
-    import mujoco
 
-
-@dataclass(frozen=True, kw_only=True)
-class Description:
+class Description(Record):
     """The fields of all descriptions: names, model file and sources."""
 
     name: str
     """Short name, such as `fr3`."""
     label: str
     """Full name for people."""
-    module: str
+    module: str = ""
     """Name of the module that defines the description; the model's file lies next to it."""
     mjcf_file: str
-    """File name of the MJCF model; an arm may have a URDF, together with `complete`."""
+    """File name of the MJCF model, or its whole path; an arm may have a URDF, together with `complete`."""
     base_body: str
     """Body whose frame is the base frame; it is fixed to the world or a mount, and has no pose in the file."""
     sources: tuple[str, ...]
     """Sources of the figures."""
+
+    def __post_init__(self) -> None:
+        """Check the fields.
+
+        Raises:
+            InvalidSetup: A field has an invalid value.
+        """
+        try:
+            super().__post_init__()
+        except InvalidSetup as err:
+            raise InvalidSetup(f"{self.name}: {err}") from err
+
+    def _require_length(self, count: int, *tables: str) -> None:
+        for table in tables:
+            if len(getattr(self, table)) != count:
+                raise InvalidSetup(f"{self.name}.{table} is {getattr(self, table)}; valid are {count} finite numbers.")
 
     @property
     def mjcf(self) -> Path:
@@ -64,13 +77,18 @@ class Description:
         Raises:
             InvalidSetup: The module is not a file on disk.
         """
+        if Path(self.mjcf_file).is_absolute():
+            return Path(self.mjcf_file)
+        if not self.module:
+            raise InvalidSetup(
+                f"{self.name}: mjcf_file is {self.mjcf_file!r}; without a module it is an absolute path."
+            )
         origin = importlib.import_module(self.module).__file__
         if origin is None:
             raise InvalidSetup(f"{self.module} is not a file on disk, so {self.mjcf_file} cannot be next to it.")
         return Path(origin).parent / self.mjcf_file
 
 
-@dataclass(frozen=True, kw_only=True)
 class ArmDescription(Description):
     """One manipulator: its chain, its limits and the MJCF file with the same figures."""
 
@@ -86,23 +104,23 @@ class ArmDescription(Description):
     """Lower joint limits [rad]."""
     joint_upper: tuple[float, ...]
     """Upper joint limits [rad]."""
-    velocity_limit: tuple[float, ...]
+    velocity_limit: tuple[Positive, ...]
     """Largest joint speeds [rad/s]."""
-    acceleration_limit: tuple[float, ...]
+    acceleration_limit: tuple[Positive, ...]
     """Largest joint accelerations [rad/s^2]."""
-    jerk_limit: tuple[float, ...]
+    jerk_limit: tuple[Positive, ...]
     """Largest joint jerks [rad/s^3]."""
-    effort_limit: tuple[float, ...]
+    effort_limit: tuple[Positive, ...]
     """Largest joint torques [Nm]."""
-    workspace_reach: float
+    workspace_reach: Positive
     """Reach of the flange from the shoulder [m]."""
-    payload: float | None = None
+    payload: Positive | None = None
     """Rated load at the flange, the end effector included [kg]; None if none is published."""
-    tcp_speed: float = 0.5
+    tcp_speed: Positive = 0.5
     """Largest translation of the TCP along each axis in relative control [m/s]. Our choice: in nine of ten postures
     within 0.6 rad of home, `velocity_limit` allows all built-in arms with six or seven joints 0.6 m/s along every axis.
     """
-    tcp_turn_speed: float = 1.8
+    tcp_turn_speed: Positive = 1.8
     """Largest rotation of the TCP in relative control [rad/s]: `velocity_limit` allows it to the slowest of them there.
     """
     collision: CollisionLimits | None = None
@@ -111,8 +129,9 @@ class ArmDescription(Description):
     """Names of the end effectors that fit its flange; None for any."""
     menagerie: MenagerieVisuals | None = None
     """Source of detailed visuals; None if the collection has none."""
-    complete: Callable[[mujoco.MjSpec], None] | None = None
-    """Completes the model with what its file cannot describe, such as actuators of a URDF; called at each reading."""
+    complete: Callable[[Any], None] | None = None
+    """Completes the model with what its file cannot describe, such as actuators of a URDF; called with its
+    `mujoco.MjSpec` at each reading."""
 
     def __post_init__(self) -> None:
         """Check that all tables have one entry per joint and that the home pose lies inside the limits.
@@ -120,19 +139,14 @@ class ArmDescription(Description):
         Raises:
             InvalidSetup: A table has the wrong length, a limit is not positive, or the home pose is outside the limits.
         """
+        super().__post_init__()
         dof = len(self.joints)
         if dof == 0 or len(set(self.joints)) != dof:
             raise InvalidSetup(f"{self.name}: joints must be at least one and have different names, got {self.joints}.")
         if len(self.actuators) != dof:
             raise InvalidSetup(f"{self.name}: {dof} joints need {dof} actuators, got {self.actuators}.")
-        for field in ("home", "joint_lower", "joint_upper"):
-            require_numbers(f"{self.name}.{field}", getattr(self, field), dof)
-        for field in ("velocity_limit", "acceleration_limit", "jerk_limit", "effort_limit"):
-            _require_positive(f"{self.name}.{field}", getattr(self, field), dof)
-        figures = (self.workspace_reach, self.tcp_speed, self.tcp_turn_speed)
-        _require_positive(f"{self.name}: workspace_reach, tcp_speed, tcp_turn_speed", figures, 3)
-        if self.payload is not None:
-            _require_positive(f"{self.name}.payload", (self.payload,), 1)
+        self._require_length(dof, "home", "joint_lower", "joint_upper")
+        self._require_length(dof, "velocity_limit", "acceleration_limit", "jerk_limit", "effort_limit")
         if self.collision is not None and len(self.collision.joint_torque) != dof:
             raise InvalidSetup(
                 f"{self.name}.collision has {len(self.collision.joint_torque)} joint torques for {dof} joints."
@@ -192,7 +206,6 @@ def _narrower(own: tuple[float, ...], limits: NDArray[np.float64]) -> tuple[floa
     return tuple(np.minimum(own, limits).tolist()) if limits.size else own
 
 
-@dataclass(frozen=True, kw_only=True)
 class GripperDescription(Description):
     """One gripper with a single opening width."""
 
@@ -219,13 +232,13 @@ class GripperDescription(Description):
 
     Left is towards the TCP's y axis, and z points along the fingers; tactile sensors rely on that.
     """
-    max_width: float
+    max_width: Positive
     """Distance between the pads when open [m]."""
-    max_force: float
+    max_force: Positive
     """Largest continuous force per finger [N]."""
-    grasp_force: float
+    grasp_force: Positive
     """Force limit per finger of the MJCF model's actuator [N]; at most `max_force`."""
-    closing_speed: float
+    closing_speed: Positive
     """Speed of each finger in free motion [m/s]."""
     arms: tuple[str, ...] | None = None
     """Names of the arms that it fits; None for any."""
@@ -239,13 +252,9 @@ class GripperDescription(Description):
             InvalidSetup: A table has the wrong length, a pad is missing, end positions are equal, or a figure is out of
                 range.
         """
-        count = len(self.joints)
-        require_numbers(f"{self.name}.joint_closed", self.joint_closed, count)
-        require_numbers(f"{self.name}.joint_open", self.joint_open, count)
-        require_numbers(f"{self.name}.ctrl", (self.ctrl_closed, self.ctrl_open), 2)
-        figures = (self.max_width, self.max_force, self.grasp_force, self.closing_speed)
-        _require_positive(f"{self.name}: max_width, max_force, grasp_force, closing_speed", figures, 4)
-        if count == 0 or self.ctrl_closed == self.ctrl_open:
+        super().__post_init__()
+        self._require_length(len(self.joints), "joint_closed", "joint_open")
+        if not self.joints or self.ctrl_closed == self.ctrl_open:
             raise InvalidSetup(f"{self.name}: needs a finger joint and different ctrl_closed and ctrl_open.")
         if not all(self.pad_geoms):
             raise InvalidSetup(f"{self.name}: pad_geoms needs a geom for each finger, got {self.pad_geoms}.")
@@ -253,7 +262,6 @@ class GripperDescription(Description):
             raise InvalidSetup(f"{self.name}: grasp_force {self.grasp_force} N is above max_force {self.max_force} N.")
 
 
-@dataclass(frozen=True, kw_only=True)
 class HandDescription(Description):
     """One hand with individually driven joints; targets are normalised to the joints' ranges."""
 
@@ -271,9 +279,9 @@ class HandDescription(Description):
     """Joint positions at the normalised value 0 [rad]."""
     joint_upper: tuple[float, ...]
     """Joint positions at the normalised value 1 [rad]."""
-    open_pose: tuple[float, ...]
+    open_pose: tuple[Share, ...]
     """Normalised joints of the hand before a grasp."""
-    grasps: Mapping[str, tuple[float, ...]]
+    grasps: Mapping[str, tuple[Share, ...]]
     """Normalised targets of closed hands by name; a grasped object stops the fingers before they arrive."""
     finger_geoms: Mapping[str, tuple[str, ...]]
     """Geoms that touch a grasped object, by finger."""
@@ -284,20 +292,18 @@ class HandDescription(Description):
         Raises:
             InvalidSetup: A table has the wrong length, a range does not ascend, or a target is outside of 0 .. 1.
         """
+        super().__post_init__()
         dof = len(self.joints)
         if dof == 0 or len(self.actuators) != dof:
             raise InvalidSetup(f"{self.name}: needs a joint, and an actuator for each, got {self.actuators}.")
-        require_numbers(f"{self.name}.joint_lower", self.joint_lower, dof)
-        require_numbers(f"{self.name}.joint_upper", self.joint_upper, dof)
+        self._require_length(dof, "joint_lower", "joint_upper", "open_pose")
         if any(lower >= upper for lower, upper in zip(self.joint_lower, self.joint_upper, strict=True)):
             raise InvalidSetup(f"{self.name}: every joint_lower must be below its joint_upper.")
-        for pose, targets in {"open_pose": self.open_pose, **self.grasps}.items():
-            require_numbers(f"{self.name}: {pose}", targets, dof)
-            if min(targets) < 0.0 or max(targets) > 1.0:
-                raise InvalidSetup(f"{self.name}: {pose} must be normalised to 0 .. 1, got {targets}.")
+        for grasp, targets in self.grasps.items():
+            if len(targets) != dof:
+                raise InvalidSetup(f"{self.name}: grasp {grasp!r} has {len(targets)} numbers; valid are {dof}.")
 
 
-@dataclass(frozen=True, kw_only=True)
 class CameraDescription(Description):
     """One colour camera, with or without depth; setups decide where it is mounted.
 
@@ -311,9 +317,9 @@ class CameraDescription(Description):
     """Pose of the tripod hole in the optical frame; its x axis points along the view, its z axis into the housing."""
     modes: tuple[ResolutionMode, ...]
     """Colour formats with their frame rates."""
-    fovy: float
+    fovy: Annotated[float, Meta(gt=0, lt=math.pi)]
     """Vertical field of view of the colour image [rad], at the native aspect ratio."""
-    native_aspect: float
+    native_aspect: Positive
     """Width over height of the sensor's own format."""
     has_depth: bool
     """Whether the camera measures depth."""
@@ -325,7 +331,7 @@ class CameraDescription(Description):
     """Distance between the two eyes of a depth camera [m]; depth noise grows as depth squared over it."""
     stereo_fovx: float = 0.0
     """Horizontal field of view of the eyes [rad]; what the right one does not see has no depth. 0 if it is unknown."""
-    longest_exposure: float = 0.0
+    longest_exposure: NotNegative = 0.0
     """Longest exposure for which the camera slows down [s]; if it exceeds the frame period, intervals vary between the
     two. 0 for a camera that keeps its rate."""
 
@@ -336,13 +342,9 @@ class CameraDescription(Description):
             InvalidSetup: There is no mode or a name is used twice, the field of view is outside of 0 .. pi, an exposure
                 is negative, or the depth range does not ascend.
         """
+        super().__post_init__()
         if not self.modes or len({mode.name for mode in self.modes}) != len(self.modes):
             raise InvalidSetup(f"{self.name}: modes needs at least one, all of different sizes, got {self.modes}.")
-        if not (math.isfinite(self.longest_exposure) and self.longest_exposure >= 0.0):
-            raise InvalidSetup(f"{self.name}: longest_exposure is {self.longest_exposure} s; valid is from 0.")
-        if not 0.0 < self.fovy < math.pi:
-            raise InvalidSetup(f"{self.name}: fovy is {self.fovy} rad; valid is 0 .. pi.")
-        _require_positive(f"{self.name}.native_aspect", (self.native_aspect,), 1)
         near, far = self.depth_range
         if self.has_depth and not 0.0 < near < far:
             raise InvalidSetup(f"{self.name}: depth_range {self.depth_range} m must ascend from above 0.")
@@ -394,9 +396,3 @@ class CameraDescription(Description):
             )
         focal = 0.5 * height / math.tan(0.5 * self.fovy)
         return np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
-
-
-def _require_positive(what: str, values: Sequence[float], count: int) -> None:
-    require_numbers(what, values, count)
-    if min(values) <= 0.0:
-        raise InvalidSetup(f"{what} must be positive, got {tuple(values)}.")

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+
+from rcs_data.record import Record
 
 from rcs.robots.mount import Mount
 
 
-@dataclass(frozen=True, kw_only=True)
-class MenagerieBody:
+class MenagerieBody(Record):
     """The source of one body's detailed visuals."""
 
     body: str
     """Body of the built-in model whose visual geoms are replaced."""
     source: str
     """Body of the collection's model that carries the meshes."""
-    source_in_body: Mount = field(default_factory=Mount)
+    source_in_body: Mount = Mount()
     """Pose of the source's body frame in the frame of the built-in body."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class MenagerieVisuals:
+class MenagerieVisuals(Record):
     """The model of `mujoco-menagerie` with detailed meshes of a robot."""
 
     model: str

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from rcs_data.record import Record
 
@@ -40,9 +39,3 @@ class Mount(Record):
     def pose(self) -> Pose:
         """The mount as a `Pose`."""
         return Pose(self.translation, self.quaternion)
-
-
-def require_numbers(what: str, values: Sequence[float], count: int) -> None:
-    """Raise InvalidSetup unless there are `count` finite numbers."""
-    if len(values) != count or not all(math.isfinite(value) for value in values):
-        raise InvalidSetup(f"{what} must be {count} finite numbers, got {tuple(values)}.")

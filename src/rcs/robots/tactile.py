@@ -6,7 +6,9 @@ The frame of the base body is the sensor's own: x out of the gel, z along the ge
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import Annotated
+
+from rcs_data.record import Meta, NotNegative, Positive, Record, Whole
 
 from rcs.errors import InvalidSetup
 from rcs.robots.description import Description
@@ -14,8 +16,7 @@ from rcs.robots.description import Description
 _Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True, kw_only=True)
-class TactileLight:
+class TactileLight(Record):
     """One light inside of the sensor."""
 
     position: _Vector
@@ -26,7 +27,6 @@ class TactileLight:
     """Brightness relative to the others."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class TactileDescription(Description):
     """A sensor whose camera watches the back of an elastic gel."""
 
@@ -34,31 +34,31 @@ class TactileDescription(Description):
     """Geom of the gel, which touches objects."""
     gel_center: _Vector
     """Foremost point of the gel, in the frame of the base body [m]."""
-    gel_width: float
+    gel_width: Positive
     """Length of the gel along y [m]."""
-    gel_height: float
+    gel_height: Positive
     """Length of the gel along z [m]."""
-    gel_curvature_radius: float
+    gel_curvature_radius: Positive
     """Radius of the sphere of which the gel's surface is a part [m]."""
-    gel_bulge: float
+    gel_bulge: Positive
     """Height of the gel's centre above its corners; the sphere's cap is stretched to it [m]."""
     camera_position: _Vector
     """Position of the camera in the frame of the base body [m]; it looks along x with z up."""
-    camera_yfov: float
+    camera_yfov: Annotated[float, Meta(gt=0, lt=math.pi)]
     """Field of view of the camera along z [rad]."""
-    camera_znear: float
+    camera_znear: Positive
     """Nearest distance that the camera sees [m]."""
-    image_size: tuple[int, int]
+    image_size: tuple[Whole, Whole]
     """Width (along y) and height (along z) of the image [px]."""
-    rate: int
+    rate: Whole
     """Highest rate at this size [frames/s]."""
     lights: tuple[TactileLight, ...]
     """Lights behind the gel."""
-    force_range: tuple[float, float]
+    force_range: tuple[NotNegative, NotNegative]
     """Contact forces from the first trace in the image to the deepest [N]."""
-    max_indentation: float
+    max_indentation: Positive
     """Indentation of the gel at the largest force [m]."""
-    noise_std: float
+    noise_std: NotNegative
     """Standard deviation of the image's noise [of 255]."""
 
     @property
@@ -73,16 +73,11 @@ class TactileDescription(Description):
             InvalidSetup: A length is not positive, the field of view is outside of 0 .. pi, there is no light, or the
                 force range does not ascend.
         """
-        lengths = (self.gel_width, self.gel_height, self.gel_curvature_radius, self.gel_bulge)
-        positive = (*lengths, self.camera_znear, self.max_indentation, *self.image_size, self.rate)
-        if not all(math.isfinite(value) and value > 0.0 for value in positive):
-            raise InvalidSetup(f"{self.name}: lengths, image size and rate must be positive, got {positive}.")
+        super().__post_init__()
         if math.hypot(self.gel_width, self.gel_height) / 2.0 >= self.gel_curvature_radius:
             raise InvalidSetup(f"{self.name}: the gel is larger than a sphere of {self.gel_curvature_radius} m.")
-        if not 0.0 < self.camera_yfov < math.pi:
-            raise InvalidSetup(f"{self.name}: camera_yfov is {self.camera_yfov} rad; valid is 0 .. pi.")
-        if not self.lights or self.noise_std < 0.0:
-            raise InvalidSetup(f"{self.name}: needs a light and a noise_std of 0 or more, got {self.noise_std}.")
+        if not self.lights:
+            raise InvalidSetup(f"{self.name}: lights is (); at least one is needed.")
         low, high = self.force_range
-        if not 0.0 <= low < high:
-            raise InvalidSetup(f"{self.name}: force_range {self.force_range} N must ascend from 0 or more.")
+        if low >= high:
+            raise InvalidSetup(f"{self.name}: force_range {self.force_range} N must ascend.")

@@ -3,39 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.record import Positive
 
 from rcs.envs.layers import Where
 from rcs.envs.task import Task
-from rcs.errors import InvalidSetup
 from rcs.sim.scene import TABLE, Scene
 from rcs.sim.world import World
 from rcs.spatial import xyzw_to_wxyz
 
 
-@dataclass(frozen=True, kw_only=True)
 class LiftOptions(Task.Options):
     """Options of a task of lifting and holding."""
 
-    lift_height: float = 0.10
+    lift_height: Positive = 0.10
     """Height above the table at which the whole object must be held: that of its lowest point [m]."""
-    hold_time: float = 1.0
+    hold_time: Positive = 1.0
     """How long it must be held without a break [s], in simulated time."""
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            InvalidSetup: A value is not a number above 0.
-        """
-        super().__post_init__()
-        for name in ("lift_height", "hold_time"):
-            if not getattr(self, name) > 0:
-                raise InvalidSetup(f"The task option {name} is {getattr(self, name)!r}; valid is a number above 0.")
 
 
 class FreeBody:

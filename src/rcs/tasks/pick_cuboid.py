@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.record import Meta
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.envs.task import Area, Judgement, Task
-from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
@@ -43,11 +42,10 @@ POSES = {
 """Quaternions xyzw of the cuboid on its lower face, on its largest one (y points up) and on its smallest (x)."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class PickOptions(LiftOptions):
     """Options of Pick-Cuboid; each of the last five makes it harder, and they combine."""
 
-    distractors: int = 0
+    distractors: Annotated[int, Meta(ge=0, le=MOST)] = 0
     """How many boxes and cylinders of random sizes and colours, none of them green, lie around the cuboid, 0 to 16."""
     pose: Literal["usual", "flat", "standing", "any"] = "usual"
     """How the cuboid lies: on its lower face, on its largest one, on its smallest one, or on any of these by chance."""
@@ -56,25 +54,9 @@ class PickOptions(LiftOptions):
     does nothing to the cuboid."""
     area: Literal["lab", "large"] = "lab"
     """Where the cuboid lies: in the lab's area, or in the larger one that the robot reaches."""
-    obstacles: int = 0
+    obstacles: Annotated[int, Meta(ge=0, le=MOST_OBSTACLES)] = 0
     """How many posts stand around the cuboid, 0 to 8: firm, higher than the flange when it grasps, and clear of the
     robot at home. The scripted expert does not see them; the agent `planner` goes around them."""
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            InvalidSetup: A value is not valid.
-        """
-        super().__post_init__()
-        if not 0 <= self.distractors <= MOST:
-            raise InvalidSetup(
-                f"The task option distractors is {self.distractors!r}; valid is a whole number from 0 to {MOST}."
-            )
-        if not 0 <= self.obstacles <= MOST_OBSTACLES:
-            raise InvalidSetup(
-                f"The task option obstacles is {self.obstacles!r}; valid is a whole number from 0 to {MOST_OBSTACLES}."
-            )
 
 
 class PickCuboid(Task):

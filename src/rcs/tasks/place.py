@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.record import Positive
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
@@ -32,11 +32,10 @@ APART = 0.12
 """Least distance from the cuboid to the mark at the start [m]: neither covers the other."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class PlaceOptions(RestOptions):
     """Options of Place."""
 
-    tolerance: float = 0.02
+    tolerance: Positive = 0.02
     """Largest distance of the cuboid's middle from that of the mark [m]."""
 
 

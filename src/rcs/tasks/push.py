@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.record import Positive
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import Where
 from rcs.envs.task import Area, Judgement, Task
-from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
@@ -48,25 +47,13 @@ BLOCK = "block"
 GOAL = "goal"
 
 
-@dataclass(frozen=True, kw_only=True)
 class PushOptions(Task.Options):
     """Options of pushing."""
 
-    tolerance: float = 0.03
+    tolerance: Positive = 0.03
     """Largest distance of the block's middle from that of the goal, which is also the goal's radius [m]."""
-    hold_time: float = 0.5
+    hold_time: Positive = 0.5
     """How long the block must lie there at rest [s]."""
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            InvalidSetup: A value is not a number above 0.
-        """
-        super().__post_init__()
-        for name in ("tolerance", "hold_time"):
-            if not getattr(self, name) > 0:
-                raise InvalidSetup(f"The task option {name} is {getattr(self, name)!r}; valid is a number above 0.")
 
 
 class Push(Task):

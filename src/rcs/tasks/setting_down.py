@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.record import Positive
 
 from rcs.envs.layers import Where
 from rcs.envs.task import Judgement, Task
-from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
 from rcs.spatial import compose
@@ -26,23 +25,11 @@ HAND_OVER = 0.03
 """Distance from its goal at which the gripper may still let go of a cuboid [m]: beyond, it is dropped or thrown."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class RestOptions(Task.Options):
     """Options of a task of setting something down."""
 
-    rest_time: float = 0.5
+    rest_time: Positive = 0.5
     """How long it must lie there at rest, without a break [s], in simulated time."""
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            InvalidSetup: A number is not above 0.
-        """
-        super().__post_init__()
-        for name, value in vars(self).items():
-            if isinstance(value, int | float) and not value > 0:
-                raise InvalidSetup(f"The task option {name} is {value!r}; valid is a number above 0.")
 
 
 class Delivery:

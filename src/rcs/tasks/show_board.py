@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import mujoco
@@ -22,7 +21,6 @@ PIXELS_PER_CELL = 32
 """Of the texture."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class ShowBoardOptions(Free.Options):
     """Where which board is. The pose is that of its middle, z out of the printed side."""
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import re
 import types
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
@@ -208,15 +209,17 @@ def valid_values(kind: Any) -> str:
     if origin is Annotated:
         bounds = [words for one in parts[1:] if isinstance(one, Meta) for words in _bounds(one)]
         what = valid_values(parts[0]).replace("finite ", "") if INFINITE in parts else valid_values(parts[0])
-        return " ".join([what, " and ".join(bounds)]).rstrip()
+        return re.sub(r"(from \S+) and up to", r"\1 to", " ".join([what, " and ".join(bounds)]).rstrip())
     if origin in (Union, types.UnionType):
         return ", or ".join(map(valid_values, parts))
     if origin is Literal:
         return ", ".join(map(repr, parts))
     if origin is tuple:
-        is_any = parts[-1] is ...
-        many = f"with each {valid_values(parts[0])}" if is_any else f"({', '.join(map(valid_values, parts))})"
-        return f"a sequence {many}"
+        kinds = [part for part in parts if part is not ...]
+        count = "" if parts[-1] is ... else f" of {len(kinds)}"
+        is_same = all(part == kinds[0] for part in kinds)
+        each = f"each {valid_values(kinds[0])}" if is_same else "; ".join(map(valid_values, kinds))
+        return f"a sequence{count}, {each}"
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return f"a mapping ({valid_values(parts[0])}: {valid_values(parts[1])})"
     return _WORDS.get(kind) or f"an object of {getattr(origin or kind, '__name__', kind)}"
