@@ -1,4 +1,4 @@
-"""A world's scene on a page in the browser: made once, then only what has moved is sent."""
+"""A world's scene on a page in the browser: made once, then only bodies that have moved are sent."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     import viser
 
 WALLS = " wall"
-"""How the names of the room's walls end. They are left out: from afar one would look at their outside."""
+"""End of the names of the room's walls, which would hide the room from outside."""
 
 MIDDLE = (0.55, 0.15, 0.30)
 """Point in the middle of the page, from the base of a robot, in parts of its reach; the panel covers the right side."""
 
 DISTANCE = 2.4
-"""Distance from which it is seen, in parts of the reach."""
+"""Distance of the page's camera from it, in parts of the reach."""
 
 NEWTON_LENGTH = 0.01
 """Length of an arrow per newton of contact force [m/N]."""
@@ -34,14 +34,14 @@ FIELD_OF_VIEW = 38.0
 """Vertical angle of view of a page at first [degrees]."""
 
 TINTED = 0.6
-"""Share of a tint in the colour of what has one."""
+"""Share of a tint in a colour."""
 
 MOVED = 1e-6
 """Least change of a coordinate that is sent [m]."""
 
 
 class BrowserScene:
-    """Shapes of a world under a `viser` server. The server is the caller's."""
+    """Shapes of a world on a `viser` server, which the caller owns."""
 
     def __init__(
         self,
@@ -56,12 +56,12 @@ class BrowserScene:
         """Show a world.
 
         Args:
-            server: Where it is shown.
+            server: The server of the page.
             world: A world of one copy.
             robots: Its robots, which pages look at first.
-            name: Of this scene on the page, where there are several.
-            place: Where the origin of the world is on the page [m].
-            tint: A colour, 0 … 1, that what may move is drawn in, light and dark as it is; None for its own colours.
+            name: Name of this scene on the page.
+            place: Position of the world's origin on the page [m].
+            tint: Colour of movable bodies, 0 … 1, mixed into their own; None for their own colours.
 
         Raises:
             InvalidSetup: The world has many copies.
@@ -70,7 +70,7 @@ class BrowserScene:
             raise InvalidSetup("The browser shows a world of one copy.")
         self._server = server
         self._model, self._data = world.model, world.data
-        # Of the present positions, which those of a step are a moment behind; the world's own state is left alone.
+        # A copy, because the poses of a step are a moment behind its positions, and the state stays as it is.
         self._seen = mujoco.MjData(world.model)
         self._bodies: dict[int, Any] = {}
         self._shown: dict[str, tuple[Shape, Any]] = {}
@@ -81,12 +81,12 @@ class BrowserScene:
         self._tint = None if tint is None else np.array(tint, np.float64)
         server.scene.add_frame(self._root, show_axes=False, position=np.array(place, np.float64))
         self.has_contacts = False
-        """Whether contact forces are shown."""
+        """Show contact forces."""
         self._look_at(robots)
         self.rebuild()
 
     def rebuild(self) -> None:
-        """Show what looks differently than before, such as after an episode has begun with other colours."""
+        """Update shapes and colours, such as after the start of an episode."""
         self._look()
         shapes = {
             shape.name: shape

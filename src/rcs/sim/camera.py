@@ -35,7 +35,7 @@ FrameArrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Snapshot:
-    """Everything needed to draw the frames of one moment later."""
+    """A moment of the simulation, from which frames can be drawn later."""
 
     state: NDArray[np.float64]
     """The simulation's integration state, (state_size,)."""
@@ -49,7 +49,7 @@ class Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """What the renderer fills in for one camera."""
+    """Arrays that the renderer fills for one camera."""
 
     rgb: NDArray[np.uint8]
     depth: NDArray[np.uint16] | None
@@ -90,11 +90,11 @@ class SimCameras:
             world: The world to draw.
             cameras: Cameras of its scene.
             size: Width and height of every frame [px].
-            sizes: The same of some cameras by name, where they differ; None for none.
-            has_depth: Whether to draw depth too.
-            has_segmentation: Whether to draw instances and geoms too.
+            sizes: Sizes of cameras that differ, by name.
+            has_depth: Draw depth, too.
+            has_segmentation: Draw instances and geoms, too.
             quality: Rendering quality.
-            has_noise: Whether to add the noise of real cameras.
+            has_noise: Add the noise of real cameras.
             frame_body: Body that is the reference frame of extrinsics: the robot's base, or 0 for the scene.
 
         Raises:
@@ -154,7 +154,7 @@ class SimCameras:
         }
 
     def snapshot(self, names: Sequence[str]) -> Snapshot:
-        """Return a snapshot from which frames of the present moment can be drawn later; for a world of one copy.
+        """Return a snapshot of the present moment, for a world of one copy.
 
         Args:
             names: Cameras to draw.
@@ -173,7 +173,7 @@ class SimCameras:
         `read`.
 
         Args:
-            snapshot: Of these cameras.
+            snapshot: A snapshot that these cameras took.
             names: Cameras of the snapshot to draw.
         """
         renderer = self._renderer or self._make_renderer()
@@ -210,7 +210,7 @@ class SimCameras:
         return frame
 
     def _draw(self, chosen: Sequence[int], copies: Copies) -> list[_Drawn]:
-        """Return what some cameras see."""
+        """Draw some cameras."""
         core = self.world.core
         ids = [self._ids[i] for i in chosen]
         # If copies have their own models, a row of states is a copy, and all have to be drawn.
@@ -318,7 +318,7 @@ class Labels:
 
 
 def _instance(model: mujoco.MjModel, body: int) -> str:
-    """Return the instance that a body is of: its prefix, or its ancestor below the world; empty for the world."""
+    """Return the instance of a body: its prefix, or its ancestor below the world; empty for the world."""
     while body:
         name = str(model.body(body).name)
         if "/" in name:

@@ -111,7 +111,7 @@ class RenderThread:
         if cameras.world.leading:
             raise InvalidSetup("A RenderThread draws one copy; the frames of many copies come from a CameraFeed.")
         self.skipped = dict.fromkeys(cameras.names, 0)
-        """Frames of each camera that were due and never drawn, as a newer state came first."""
+        """Number of frames of each camera that were due and never drawn, because a newer state replaced theirs."""
         self.capture_times: dict[str, float] = {}
         """When the simulation was as each camera's last frame shows it [s], on the monotonic clock."""
         self._cameras = cameras
@@ -180,7 +180,7 @@ class RenderThread:
 
 @dataclass(frozen=True)
 class _Frame:
-    """What a feed gave in one step. Arrays are (copies,)."""
+    """Frames of a camera after one step. Times are (copies,)."""
 
     arrays: FrameArrays
     captured: NDArray[np.float64]

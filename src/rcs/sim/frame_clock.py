@@ -1,4 +1,4 @@
-"""Says when simulated cameras have new frames: each at its own rate, in simulated time since the episode's start.
+"""The clock of simulated cameras: each has frames at its own rate, in simulated time since the episode's start.
 
 A frame due between two control steps appears at the later one. Rates are ratios of integers, so a camera of 30 frames/s
 has exactly 30 frames in each second at 100 control steps/s, however long the episode.
@@ -28,7 +28,7 @@ class FrameRate(Record):
 
     @property
     def is_rolling(self) -> bool:
-        """Whether intervals differ from frame to frame."""
+        """True if intervals differ from frame to frame."""
         return self.longest_exposure > 1.0 / self.fps
 
     @staticmethod
@@ -47,7 +47,7 @@ class FrameRate(Record):
 
 
 class FrameClock:
-    """Says for each camera and copy whether it has a new frame. Episodes begin with one."""
+    """Tracks which cameras of which copies have a new frame. Episodes begin with one."""
 
     memory = ("numbers", "_start_times", "_next_times")
 

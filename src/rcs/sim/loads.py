@@ -1,4 +1,4 @@
-"""Forces on a simulated robot: what its sensors measure, and its reaction to collisions."""
+"""Forces on a simulated robot: measurements of its sensors, and its reaction to collisions."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ class SimLoads:
 
     @property
     def joint_torques(self) -> NDArray[np.float64]:
-        """Torques that the drives exert [Nm], with what holds the arm against its weight, (*leading, dof)."""
+        """Torques of the drives [Nm], including those that carry the arm's weight, (*leading, dof)."""
         return self._world.measurements[..., self._first : self._first + self._dof].copy()
 
     @property
     def tcp_wrench(self) -> NDArray[np.float64]:
-        """Force [N], and moment about the TCP [Nm], of all that presses on the tool, (*leading, 6).
+        """Force [N], and moment about the TCP [Nm], of all contacts of the tool, (*leading, 6).
 
-        The axes are those of the base. The weight of the tool does not count, that of what it holds does.
+        The axes are those of the base. The weight of a held object counts, that of the tool does not.
         """
         first = self._first + self._dof
         return self._world.measurements[..., first : first + 6].copy()
 
 
 class SimContacts:
-    """Which fingers of a robot touch something, and whether they hold an object, in every copy."""
+    """Contacts of a robot's fingers, and grasps, in every copy."""
 
     def __init__(self, robot: SimRobot) -> None:
         """Have the contacts of a gripper's pads, or of a hand's fingers, measured.
@@ -68,12 +68,12 @@ class SimContacts:
 
     @property
     def touches(self) -> NDArray[np.uint8]:
-        """Which fingers touch something that is not the robot itself, 1 or 0, (*leading, fingers)."""
+        """1 for fingers that touch something other than the robot itself, else 0, (*leading, fingers)."""
         return self._world.measurements[..., self._first : self._first + self.fingers].astype(np.uint8)
 
     @property
     def is_grasped(self) -> NDArray[np.uint8]:
-        """Whether two fingers touch the same object, one that can move, 1 or 0, (*leading, 1)."""
+        """1 where two fingers touch the same movable object, else 0, (*leading, 1)."""
         last = self._first + self.fingers
         return self._world.measurements[..., last : last + 1].astype(np.uint8)
 

@@ -1,4 +1,4 @@
-"""Any numeric field of a MuJoCo model, named as there, as something that varies."""
+"""Ranges of any numeric field of a MuJoCo model, by its name there."""
 
 from __future__ import annotations
 
@@ -79,11 +79,11 @@ class FieldRange(Record, kw_only=False):
     """Names of the elements, or patterns with `*` and `?`. Elements without a name have that of their body, degrees of
     freedom that of their joint."""
     operation: Literal["scale", "add", "set"] = "scale"
-    """What the draw does to a value."""
+    """Factor, summand, or new value."""
     axes: tuple[Natural, ...] | None = None
     """Columns of a field with several numbers per element; None for all."""
     per: Literal["value", "element", "all"] = "value"
-    """What has a draw of its own: each value, each element, or all of them together."""
+    """Number of draws: one for each value, one for each element, or one for all."""
 
     def __post_init__(self) -> None:
         """Check the range and the name of the field.

@@ -84,7 +84,7 @@ class ObjectParts:
             and _have_nodes_alone(model, self.flexes)
             and np.isin(model.jnt_bodyid[joints], moving).all()
         )
-        """Whether it consists of simple rigid shapes, or of soft solids that follow nodes. Meshes are shared by all
+        """True for simple rigid shapes, and for soft solids that follow nodes. Meshes are shared by all
         copies and keep their size, as do soft bodies with springs along their edges."""
 
 

@@ -47,7 +47,7 @@ DARK = 12.0
 
 _QUANTILES = 4096
 _DEPTH_BRANCH = 0x5DEECE66D
-# Tells the errors of depth from those of colours.
+# Separates the errors of depth from those of colours.
 
 
 class CameraNoise:
@@ -57,9 +57,9 @@ class CameraNoise:
         """Prepare the noise.
 
         Args:
-            camera: Its figures.
+            camera: The camera's figures.
             size: Width and height of frames [px].
-            number: Number of the camera in its scene, as each has different noise.
+            number: Number of the camera in its scene; each number has different noise.
         """
         self._camera = camera
         self._number = number
@@ -110,11 +110,11 @@ def measure_depth(
     nearest: float,
     seed: int,
 ) -> None:
-    """Replace the depth of one picture by what a stereo camera would measure, in place; 0 is no reading.
+    """Replace the depth of one picture by that of a stereo camera, in place; 0 is no reading.
 
     Args:
         camera: Its figures.
-        depth_mm: The true depth [mm], shape (H, W), 0 where nothing is.
+        depth_mm: The true depth [mm], shape (H, W), 0 for no surface.
         rgb: The colours there, shape (H, W, 3).
         intrinsics: Camera matrix [px], shape (3, 3).
         nearest: Nearest depth with a reading [m].

@@ -1,4 +1,4 @@
-"""How a simulated camera sees: its matrices and its distortion, and the lens with which they are drawn."""
+"""Camera matrices, distortion and lens of a simulated camera."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _POWERS = np.array([2.0, 4.0, 1.0, 1.0, 6.0])
 
 
 class Optics:
-    """How one camera sees in pictures of one size.
+    """Optics of one camera for pictures of one size.
 
     An uncalibrated camera has square pixels, its principal point in the middle, and the field of view of the model. A
     calibrated one has the intrinsics of its calibration, cut to the size. A distorted picture is looked up, pixel by
@@ -42,9 +42,9 @@ class Optics:
         self._size = size
         calibrated = None if placement.calibration is None else placement.calibration.intrinsics
         self.lens: Lens | None = None
-        """What the renderer needs besides the model; None for an uncalibrated camera."""
+        """Lens of the renderer; None for a camera that the model describes."""
         self.canvas = size
-        """Width and height of what is drawn [px]."""
+        """Width and height of the picture before the lens distorts it [px]."""
         self._scale = (1.0, 1.0)
         self._principal = ((size[0] - 1) / 2, (size[1] - 1) / 2)
         self._distortion = np.zeros(COEFFICIENTS)

@@ -45,7 +45,7 @@ def cameras_of(robots: Sequence[RobotPlacement]) -> dict[str, CameraPlacement]:
 
 
 def _cameras_in(part: Description, prefix: str) -> Iterator[tuple[str, CameraPlacement]]:
-    """Give the cameras in the file of a part whose names get a prefix."""
+    """Yield the cameras in the file of a part, with a prefix before their names."""
     spec = load(part)
     if not spec.cameras:
         return
@@ -60,7 +60,7 @@ def _cameras_in(part: Description, prefix: str) -> Iterator[tuple[str, CameraPla
                 f"Camera {name!r} in {part.mjcf_file} is orthographic or its principal point is not in the middle of "
                 "the image; drawn are perspective images about their middle."
             )
-        # What stands beside the bodies in the file's world goes with the base, which has no pose in it.
+        # A camera in the file's world moves with the base, which has no pose there.
         body = model.body(int(model.cam_bodyid[i])).name if model.cam_bodyid[i] else part.base_body
         optical = Pose(model.cam_pos[i], wxyz_to_xyzw(model.cam_quat[i])) * CAMERA_IN_OPTICAL
         camera = _description(name, model, i)

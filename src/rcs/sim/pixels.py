@@ -1,4 +1,4 @@
-"""What learners see of cameras: frames with channels first, in stacks, drawn by the threads that step the copies."""
+"""Frames for learners: channels first, in stacks, drawn by the threads that step the copies."""
 
 from __future__ import annotations
 
@@ -33,8 +33,9 @@ class Pixels(Record):
     """Frames of an observation, one after the other along the channels, the newest last. An episode starts with its
     first frame in every place."""
     valid_steps: Whole | None = None
-    """For how many steps after its own an observation's pixels stay what they are; then their memory is used again.
-    None: for ever, in new arrays. Learners that copy what they keep can do with 1, which saves time and memory."""
+    """Number of steps after its own for which an observation's pixels stay as they are; then their memory is used
+    again. None: forever, in new arrays. Learners that copy the pixels that they keep can do with 1, which saves time
+    and memory."""
 
     @property
     def channels(self) -> int:
@@ -66,8 +67,8 @@ class PixelFeed:
         Args:
             world: The world to draw.
             cameras: Cameras of its scene.
-            clock: Says when frames are due; it has all of these cameras and no other user.
-            pixels: What is made of the frames.
+            clock: Has the rates of these cameras, and no other user.
+            pixels: Format of the frames.
             size: Width and height of a frame [px].
             quality: Rendering quality, `fast` or `full`.
 
@@ -141,7 +142,7 @@ class PixelFeed:
 
     @property
     def uses_opengl(self) -> str:
-        """Why OpenGL draws; empty if it does not, or nothing was drawn yet."""
+        """The reason for drawing with OpenGL; empty without OpenGL, or before the first frame."""
         return next((group.core.why_opengl for group in self._groups if group.core is not None), "")
 
     @property
@@ -176,7 +177,7 @@ class PixelFeed:
         group.core.turn(group.next, None)
 
     def _room(self, group: _Group) -> list[NDArray[np.uint8]]:
-        """Return arrays for the next frames: new ones, or those whose time is over."""
+        """Return arrays for the next frames: new ones, or expired ones."""
         valid = self.pixels.valid_steps
         # A step in which an episode ends and the next one starts has two observations.
         if valid is None or len(group.used) < 2 * valid + 1:
@@ -188,7 +189,7 @@ class PixelFeed:
         return room
 
     def close(self) -> None:
-        """Let go of what draws; the world has it until it is closed. Closing twice is harmless."""
+        """Release the renderers, which the world keeps until it is closed. Closing twice is harmless."""
         for group in self._groups:
             group.core = None
 
@@ -203,12 +204,12 @@ class _Group:
         self.last: list[NDArray[np.uint8]] = []
         """The stacks of the last read, an array (copies, channels, height, width) for each camera."""
         self.next: list[NDArray[np.uint8]] = []
-        """Where the next ones go."""
+        """Arrays of the next stacks."""
         self.used: list[list[NDArray[np.uint8]]] = []
         """Arrays that are used in turn, the oldest first."""
 
     def turn(self, room: list[NDArray[np.uint8]]) -> None:
-        """Take what was drawn as the last, and have the next go somewhere else."""
+        """Make the drawn frames the last ones, and draw the next into other arrays."""
         assert self.core is not None
         self.last, self.next = self.next, room
         self.core.turn(self.next, self.last)

@@ -30,7 +30,7 @@ class SimRobot:
         Args:
             world: The world.
             robot: A robot of its scene.
-            is_led: Whether its motion leads the arm; else whoever writes the world's controls does.
+            is_led: The robot's motion leads the arm; False leaves the world's controls to the caller.
         """
         self.world = world
         self.placement = robot
@@ -202,7 +202,7 @@ class SimRobot:
         """Make synchronous steps of the world wait until the arm has arrived and the fingers are at rest.
 
         Args:
-            latency: Longest time until fingers get what they are told [s].
+            latency: Longest time until fingers get their targets [s].
         """
         core = self.world.core
         core.converge_when(self.motion)
@@ -211,10 +211,10 @@ class SimRobot:
             core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME + latency, self.world.copies))
 
     def set_load(self, mass: ArrayLike, center_in_flange: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        """Tell the controller of a load that it then carries without sagging, as libfranka's `setLoad` does.
+        """Set the load that the controller carries without sagging, as libfranka's `setLoad` does.
 
         The motors hold its weight beside their position servos, within their torque limits. Its inertia is not
-        compensated. What is mounted is compensated without that. The load counts until another is set, 0 for none; a
+        compensated. Mounted parts are compensated anyway. The load counts until another is set, 0 for none; a
         recording does not contain it.
 
         Args:

@@ -1,4 +1,4 @@
-"""Checks a robot in a compiled scene for faults that would otherwise only show in bad episodes."""
+"""Checks of a robot in a compiled scene, for faults that would only show in bad episodes."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class Sag:
     """How far a robot sags below its home pose while its servos hold it."""
 
     joints: NDArray[np.float64]
-    """Of each joint, (dof,) [rad]; infinite for a joint without a position servo."""
+    """Sag of each joint, (dof,) [rad]; infinite for a joint without a position servo."""
     tcp: float
-    """Of the TCP [m]."""
+    """Sag of the TCP [m]."""
 
     @property
     def is_small(self) -> bool:
-        """Whether neither a joint nor the TCP sags noticeably."""
+        """True if neither a joint nor the TCP sags noticeably."""
         return bool(np.abs(self.joints).max() <= MAX_JOINT_SAG) and self.tcp <= MAX_TCP_SAG
 
 

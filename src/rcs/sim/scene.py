@@ -28,7 +28,7 @@ from rcs.sim.textures import add_wood
 OVERVIEW = "overview"
 """Name of the camera that shows the whole scene to people; it is not observed."""
 OVERVIEW_EYE, OVERVIEW_TARGET = [1.45, -1.05, 0.85], [0.28, 0.02, 0.22]
-"""Where the overview of an empty scene is, and a point in the middle of it [m]; with robots, it looks the same way."""
+"""Position of the overview camera of an empty scene, and its target [m]; with robots, it looks the same way."""
 OVERVIEW_MIDDLE = (0.35, 0.0, 0.5)
 """Point in the middle of the overview, from the base of a robot, in parts of its reach."""
 OVERVIEW_DISTANCE = 2.05
@@ -138,7 +138,7 @@ class Scene:
     varied: Sequence[FieldRange] = ()
     """Fields of the model that will vary from episode to episode."""
     _lacks_details: bool = field(default=False, init=False, repr=False)
-    """Whether detailed visuals are unavailable; the next robot then neither waits for the network nor warns again."""
+    """Detailed visuals are unavailable; the next robot neither waits for the network nor warns again."""
 
     @staticmethod
     def empty(*, physics_step: float = 0.002, has_textures: bool = False) -> Scene:
@@ -219,7 +219,7 @@ class Scene:
         """Have the overview see robots whole, however high they reach, from the side from which it looks."""
         camera = self.spec.camera(OVERVIEW)
         if camera is None:
-            return  # a scene of somebody else's
+            return  # a scene of the user's own
         bases = np.array([robot.base_in_scene.translation for robot in robots])
         reach = max(robot.arm.workspace_reach for robot in robots)
         target = bases.mean(axis=0) + np.array(OVERVIEW_MIDDLE) * reach

@@ -1,4 +1,4 @@
-"""What a model looks like, as coloured triangles in the frames of its bodies, for viewers that are not MuJoCo's."""
+"""Coloured triangles of a model in the frames of its bodies, for viewers other than MuJoCo's."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def body_name(model: mujoco.MjModel, body: int) -> str:
     return model.body(body).name or f"body {body}"
 
 
-def shapes_of(model: mujoco.MjModel, data: mujoco.MjData, *, hidden_from: int = HIDDEN_FROM_GROUP) -> list[Shape]:
+def shapes_of(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
     """Return every visible geom and soft body of a model, each once.
 
     Height fields and cables (flexes of one dimension) are left out. A texture comes to its mean colour.
@@ -62,12 +62,11 @@ def shapes_of(model: mujoco.MjModel, data: mujoco.MjData, *, hidden_from: int = 
     Args:
         model: The model; what varies between episodes is taken as it is now.
         data: Its state, which soft bodies are shown in.
-        hidden_from: First group of geoms that is not shown.
     """
     shapes: list[Shape] = []
     for geom in range(model.ngeom):
         rgba = colour_of(model, model.geom_rgba[geom], model.geom_matid[geom])
-        if model.geom_group[geom] >= hidden_from or rgba[3] == 0.0:
+        if model.geom_group[geom] >= HIDDEN_FROM_GROUP or rgba[3] == 0.0:
             continue
         mesh = _mesh_of(model, geom)
         if mesh is None:
@@ -86,7 +85,7 @@ def shapes_of(model: mujoco.MjModel, data: mujoco.MjData, *, hidden_from: int = 
             )
         )
     for flex in range(model.nflex):
-        if model.flex_dim[flex] > 1 and model.flex_group[flex] < hidden_from:
+        if model.flex_dim[flex] > 1 and model.flex_group[flex] < HIDDEN_FROM_GROUP:
             rgba = colour_of(model, model.flex_rgba[flex], model.flex_matid[flex])
             shapes.append(
                 Shape(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 GAMMA = np.uint64(0x9E3779B97F4A7C15)
-"""What the counter is multiplied with: the golden ratio in 64 bits, made odd."""
+"""Factor of the counter: the golden ratio in 64 bits, made odd."""
 
 _M1 = np.uint64(0xBF58476D1CE4E5B9)
 _M2 = np.uint64(0x94D049BB133111EB)

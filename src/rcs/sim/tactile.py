@@ -20,7 +20,7 @@ from rcs.sim.tactile_mounts import UNFELT_GROUP, TactilePlacement
 from rcs.sim.world import World
 
 Indentation = Literal["force", "geometry"]
-"""What determines the indentation. `force`: the normal force on the gel, in proportion up to the sensor's largest.
+"""Source of the indentation. `force`: the normal force on the gel, in proportion up to the sensor's largest.
 `geometry`: how far objects are inside the gel, for poses that are set, not simulated."""
 
 TactileLook = Literal["rcs", "tacto"]

@@ -1,4 +1,4 @@
-"""Simulated arms that are brought up to moments of a clock, and whose targets come at times of their own.
+"""Simulated arms that follow a clock, with targets at any time.
 
 Time: nothing runs by itself. `advance_to` makes as many physics steps as have become due, so an arm is always where it
 would be now, on a clock of the wall or one that is moved by hand. The steps between targets are smoothed, as drivers of
@@ -27,22 +27,22 @@ SMOOTHING = 0.05
 accelerations of arms; at 0.03 s they do not, and what the limits cut depends on every millisecond of the stream."""
 
 REACH = 0.8
-"""Part of an arm's velocity and acceleration limits that targets are led with, so that the arm can follow them."""
+"""Share of an arm's velocity and acceleration limits that targets use, so that the arm can follow them."""
 
 LONGEST_GAP = 1.0
 """A gap in time that is longer than this is not simulated [s]: the arms stand at their targets after it."""
 
 
 class Course:
-    """How the target of one arm moves: as its goals, through two equal low-passes in a row, within the arm's limits."""
+    """Motion of one arm's target: its goals through two equal low-passes in a row, within the arm's limits."""
 
     def __init__(self, arm: ArmDescription, joints: NDArray[np.float64], smoothing: float) -> None:
         """Stand still at joints [rad], (dof,)."""
         self.target = self.goal = joints
         self.due: deque[tuple[float, NDArray[np.float64]]] = deque()
-        """Goals that count from a later moment on, in order."""
+        """Goals that take effect at a later moment, in order."""
         self.velocity = np.zeros_like(joints)
-        """Of the target [rad/s], (dof,)."""
+        """Velocity of the target [rad/s], (dof,)."""
         self._fastest = REACH * np.array(arm.velocity_limit)
         self._hardest = REACH * np.array(arm.acceleration_limit)
         self._smoothing = smoothing
@@ -86,7 +86,7 @@ class TimedArm:
         damping = model.dof_damping[model.jnt_dofadr[layout.joint_ids]]
         bias = model.actuator_biasprm[self._actuators]
         self._servo_lag = (bias[:, 2] - damping) / bias[:, 1]
-        """By how much a servo that is given positions alone comes behind [s], (dof,)."""
+        """Lag of a servo that gets positions alone [s], (dof,)."""
         if robot.gripper is not None:
             world.qpos[layout.finger_qpos] = np.array(robot.gripper.joint_open)
             world.ctrl[layout.finger_actuator] = robot.gripper.ctrl_open
@@ -113,7 +113,7 @@ class TimedArm:
         self.stop()
 
     def stop(self) -> None:
-        """Make where the arm is its target; targets that were to come are dropped."""
+        """Hold the arm where it is, and drop later targets."""
         here = self.joints
         self._world.ctrl[self._actuators] = here
         self.course = Course(self.placement.arm, here, self._smoothing)
@@ -125,7 +125,7 @@ class TimedArm:
 
 
 class TimedWorld:
-    """Arms in a scene of their own, in the order of time."""
+    """Arms in a scene of their own, simulated up to given moments."""
 
     def __init__(
         self, robots: Sequence[RobotPlacement], *, physics_step: float = 0.002, smoothing: float = SMOOTHING
@@ -165,21 +165,21 @@ class TimedWorld:
         self.world.refresh()
 
     def command(self, name: str, joints: NDArray[np.float64], at: float) -> None:
-        """Give an arm a target that counts from a moment on.
+        """Set a target of an arm that takes effect at a moment.
 
         Args:
             name: The arm.
             joints: The target [rad], (dof,).
-            at: The moment [s], not before that of the former command; one that has passed counts from now on.
+            at: The moment [s], not before that of the former command; a past one means now.
         """
         self._arm(name).course.due.append((max(at, self.time), np.array(joints, np.float64)))
 
     def stop(self, name: str) -> None:
-        """Have an arm stop where it is, at the present moment; targets that were to come are dropped."""
+        """Hold an arm where it is at the present moment, and drop later targets."""
         self._arm(name).stop()
 
     def goal(self, name: str) -> NDArray[np.float64]:
-        """Return the last target of an arm [rad], (dof,), also one that is still to come."""
+        """Return the last target of an arm [rad], (dof,), including a later one."""
         course = self._arm(name).course
         return (course.due[-1][1] if course.due else course.goal).copy()
 

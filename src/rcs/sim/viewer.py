@@ -32,7 +32,7 @@ def has_display() -> bool:
     except ImportError as err:
         raise MissingDependency(NO_GLFW) from err
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # GLFW's own message on a missing display; who needs one says more
+        warnings.simplefilter("ignore")  # GLFW's own message on a missing display; the caller raises a better one
         return bool(glfw.init())
 
 
@@ -44,7 +44,7 @@ class Viewer:
 
         Args:
             world: A world of one copy.
-            has_panels: Whether MuJoCo's panels are beside the picture at the start; Tab shows and hides them anyway.
+            has_panels: Start with MuJoCo's panels beside the picture; Tab shows and hides them.
             on_key: Called with the code of a key that is pressed, from the window's own thread; None for nothing.
 
         Raises:
@@ -86,11 +86,11 @@ class Viewer:
 
     @property
     def is_running(self) -> bool:
-        """Whether the window is open."""
+        """True while the window is open."""
         return self._handle is not None and self._handle.is_running()
 
     def sync(self) -> None:
-        """Show the present state; what was done in the panels and with the mouse goes into the world's data."""
+        """Show the present state, and take changes by panels and mouse into the world's data."""
         if self.is_running:
             self._handle.sync()
 

@@ -17,7 +17,7 @@ from rcs.sim.world import World
 from rcs.tasks.lifting import FreeBody, table_height, upright
 from rcs.tasks.sizes import SizedBodies
 
-Taken = tuple[NDArray[np.float64], NDArray[np.float64] | float]
+Circle = tuple[NDArray[np.float64], NDArray[np.float64] | float]
 """A circle on the table that stays free: its middle in the scene, (*leading, 2) or longer [m], and radius [m]."""
 
 MOST = 16
@@ -80,7 +80,12 @@ class Distractors:
         self._colours = ModelRows(world, "geom_rgba", [world.model.geom(name).id for name in self.names])
 
     def reset(
-        self, random: EpisodeRandom, where: Where, area: Area, taken: Iterable[Taken] = (), around: Taken | None = None
+        self,
+        random: EpisodeRandom,
+        where: Where,
+        area: Area,
+        occupied: Iterable[Circle] = (),
+        around: Circle | None = None,
     ) -> None:
         """Draw the distractors of the next episodes of some copies.
 
@@ -88,7 +93,7 @@ class Distractors:
             random: Random numbers for exactly these copies; they are not advanced.
             where: The copies; `...` for all, or for the only one.
             area: Where distractors lie, with their middles.
-            taken: What else lies on the table, of exactly these copies.
+            occupied: What else lies on the table, of exactly these copies.
             around: Part of the area in which they lie, a square around a circle; None for all of it.
         """
         if not self.names:
@@ -100,7 +105,7 @@ class Distractors:
         shades = streams.uniform(np.zeros((count, 3)), np.ones((count, 3)))
         self._colours.write(_colours(shades), None if where is ... else where)
         low, high = _corners(area, around)
-        circles = list(taken)
+        circles = list(occupied)
         table = table_height(self._world)[where]
         for i, body in enumerate(self._bodies):
             x, y, z = (half[..., i, axis] for axis in range(3))
@@ -122,7 +127,7 @@ class Distractors:
             circles.append((place, radius))
 
 
-def _corners(area: Area, around: Taken | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _corners(area: Area, around: Circle | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lowest and highest x, y of distractors in the scene [m], (2,) or (*leading, 2)."""
     center, half = np.array(area.center), np.array(area.size) / 2
     low, high = center - half, center + half

@@ -12,7 +12,7 @@ from rcs.sim.robot import SimRobot
 from rcs.sim.scene import FLOOR_HEIGHT, Scene
 from rcs.sim.world import World
 from rcs.spatial import xyzw_to_wxyz
-from rcs.tasks.distractors import Taken
+from rcs.tasks.distractors import Circle
 from rcs.tasks.lifting import table_height, upright
 
 MOST = 8
@@ -68,7 +68,7 @@ class Obstacles:
         self._quat = world.core.component(state.mjSTATE_MOCAP_QUAT.value).reshape(*world.leading, -1, 4)
         self._ids = [int(world.model.body(name).mocapid[0]) for name in self.names]
 
-    def reset(self, random: EpisodeRandom, where: Where, middle: NDArray[np.float64]) -> list[Taken]:
+    def reset(self, random: EpisodeRandom, where: Where, middle: NDArray[np.float64]) -> list[Circle]:
         """Draw the obstacles of the next episodes of some copies.
 
         Args:
@@ -84,7 +84,7 @@ class Obstacles:
         streams = random.branch("obstacles")
         half = self._scale * HALF_HEIGHT
         height = table_height(self._world)[where]
-        taken: list[Taken] = []
+        occupied: list[Circle] = []
         for i, which in enumerate(self._ids):
             # Numbers of one shape for all copies, whatever is free.
             drawn = streams.uniform(np.zeros((TRIES, 3)), np.ones((TRIES, 3)))
@@ -100,7 +100,7 @@ class Obstacles:
             )
             is_free = places[..., 0] ** 2 + places[..., 1] ** 2 > BASE * BASE
             is_free &= self._leaves_home(places)
-            for center, own in taken:
+            for center, own in occupied:
                 dx, dy = places[..., 0] - center[..., 0:1], places[..., 1] - center[..., 1:2]
                 is_free &= dx * dx + dy * dy > np.asarray(4.0 * own * own)
             first = is_free.argmax(axis=-1)[..., None, None]
@@ -110,8 +110,8 @@ class Obstacles:
             pose = upright(place, half + np.where(has_room, height, FLOOR_HEIGHT))
             self._pos[where, which, :] = pose[..., :3]
             self._quat[where, which, :] = xyzw_to_wxyz(pose[..., 3:])
-            taken.append((place, self._scale * HALF_WIDTH * np.sqrt(2.0)))
-        return taken
+            occupied.append((place, self._scale * HALF_WIDTH * np.sqrt(2.0)))
+        return occupied
 
     def _leaves_home(self, places: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether the robot at home is not near posts at places, x, y first."""

@@ -139,9 +139,9 @@ class PickCuboid(Task):
         pose[..., 2] += self._table[where] - lowest(pose, self._half_edges[where])
         self._body.place(pose, where)
         scale = self.area.object_scale
-        taken = [(middle, scale * FREE), *self._obstacles.reset(random, where, middle)]
+        occupied = [(middle, scale * FREE), *self._obstacles.reset(random, where, middle)]
         around = (middle, np.full(middle.shape[:-1], scale * NEAR))
-        self._distractors.reset(random, where, self.area, taken, around=around)
+        self._distractors.reset(random, where, self.area, occupied, around=around)
         self._held.reset(where)
         self._grip.reset()
 

@@ -14,7 +14,7 @@ from rcs.envs.reward import RewardKind, Rewards
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS
 from rcs.envs.start import Start, in_frame_of
 from rcs.envs.task import Judgement, Task
-from rcs.envs.variation.clutter import Clutter, TakenCircles
+from rcs.envs.variation.clutter import Clutter, ObjectCircles
 from rcs.envs.variation.randomiser import Randomiser
 from rcs.errors import InvalidSetup
 from rcs.sim.frame_clock import FrameClock
@@ -65,7 +65,7 @@ class Scenario:
         self._clutter = clutter
         if clutter is not None:
             clutter.bind(world)
-            self._taken = TakenCircles(world, task)
+            self._circles = ObjectCircles(world, task)
         for robot in robots:
             robot.go_home()
         for one in self.randomisers:
@@ -95,7 +95,7 @@ class Scenario:
         self.task.reset(random, where)
         self.world.refresh(copies)
         if self._clutter is not None:
-            self._clutter.reset(random.branch("randomisation"), where, self.task.area, self._taken.at(where))
+            self._clutter.reset(random.branch("randomisation"), where, self.task.area, self._circles.at(where))
             self.world.refresh(copies)
 
     def start_at(self, start: Start) -> None:

@@ -1,1 +1,1 @@
-"""What varies from episode to episode, and how it is drawn and written."""
+"""Variation from episode to episode: ranges are drawn, and the model and the state are written."""

@@ -1,4 +1,4 @@
-"""What lies about in a scene besides the objects of its task."""
+"""Objects in a scene besides those of its task."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROOM = 0.07
 
 
 class Clutter(Protocol):
-    """Objects that a task has nothing to do with."""
+    """Objects that do not belong to the task."""
 
     def furnish(self, scene: Scene) -> None:
         """Add them to a scene before it is compiled."""
@@ -35,7 +35,7 @@ class Clutter(Protocol):
         random: EpisodeRandom,
         where: Where,
         area: Area,
-        taken: Iterable[tuple[NDArray[np.float64], NDArray[np.float64]]] = (),
+        occupied: Iterable[tuple[NDArray[np.float64], NDArray[np.float64]]] = (),
     ) -> None:
         """Put them somewhere in the next episodes of some copies.
 
@@ -43,17 +43,17 @@ class Clutter(Protocol):
             random: Random numbers for exactly these copies; they are not advanced.
             where: The copies; `...` for all, or for the only one.
             area: Where they may lie, with their middles.
-            taken: Circles that stay free, of exactly these copies: the middle in the scene, (*leading, 2) or longer
+            occupied: Circles that stay free, of exactly these copies: the middle in the scene, (*leading, 2) or longer
                 [m], and the radius, (*leading,) [m].
         """
         ...
 
 
-class TakenCircles:
+class ObjectCircles:
     """The circles on the table that a task's objects take up, with room for a gripper."""
 
     def __init__(self, world: World, task: Task) -> None:
-        """Use the objects of a task that is bound to the world, those whose poses it tells."""
+        """Use the objects of a task that is bound to the world, whose poses the task gives."""
         self._world = world
         self._task = task
         self._parts: dict[str, ObjectParts] = {}

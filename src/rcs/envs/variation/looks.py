@@ -1,4 +1,4 @@
-"""What a camera sees, varied from episode to episode: lights, colours, textures and the cameras themselves."""
+"""Variation of what cameras see: lights, colours, textures and the cameras themselves."""
 
 from __future__ import annotations
 

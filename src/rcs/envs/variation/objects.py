@@ -1,4 +1,4 @@
-"""The objects of a task, varied from episode to episode: colour, size and mass."""
+"""Variation of a task's objects: colour, size, mass and friction."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class Randomiser:
         self.world = world
         self.ranges = ranges
         self.changes_constants = False
-        """Whether constants that MuJoCo derives, such as from masses, are to be computed after writing."""
+        """Compute the constants that MuJoCo derives, such as from masses, after writing."""
         self.names: dict[str, tuple[str, ...]] = {}
         """Names of the elements that the rows of each field's values belong to, in order."""
         self.values: dict[str, Values] = {}

@@ -1,6 +1,6 @@
-"""The robots, varied from episode to episode: drives, grippers, latency; and the height of the table.
+"""Variation of robots: drives, grippers, latency; and of the height of the table.
 
-MuJoCo's own history of controls delays actions. It is part of the state, so a state has what is still on its way.
+MuJoCo's own history of controls delays actions. A state contains it, and with it the actions that are on their way.
 """
 
 from __future__ import annotations

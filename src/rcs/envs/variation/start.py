@@ -1,4 +1,4 @@
-"""Where robots are at the start of an episode: around home, within their limits, and free of collisions."""
+"""Starts of robots: around home, within their limits, and free of collisions."""
 
 from __future__ import annotations
 
@@ -66,9 +66,9 @@ class VariedStart:
 
 
 class _FreeSpace:
-    """Tells whether robots touch anything, in a scene without objects and with a higher table.
+    """Finds contacts of robots in a scene without objects and with a higher table.
 
-    So it depends on the deviation alone, whatever else varies.
+    They depend on the robots' joints alone, whatever else varies.
     """
 
     def __init__(self, vary: Randomiser, robots: Sequence[RobotPlacement]) -> None:
