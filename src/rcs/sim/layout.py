@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -44,19 +46,18 @@ class RobotLayout:
         Raises:
             InvalidSetup: The robot is not in the model.
         """
+        gripper, hand, prefix = robot.gripper, robot.hand, robot.gripper_prefix
+
+        def ids(find: Any, prefix: str, names: Iterable[str]) -> list[int]:
+            return [find(prefix + name).id for name in names]
+
         try:
-            joints = [model.joint(robot.prefix + name).id for name in robot.arm.joints]
-            actuators = [model.actuator(robot.prefix + name).id for name in robot.arm.actuators]
-            fingers: list[int] = []
-            finger_actuator = -1
-            if robot.gripper is not None:
-                fingers = [model.joint(robot.gripper_prefix + name).id for name in robot.gripper.joints]
-                finger_actuator = model.actuator(robot.gripper_prefix + robot.gripper.actuator).id
-            hand_joints: list[int] = []
-            hand_actuators: list[int] = []
-            if robot.hand is not None:
-                hand_joints = [model.joint(robot.gripper_prefix + name).id for name in robot.hand.joints]
-                hand_actuators = [model.actuator(robot.gripper_prefix + name).id for name in robot.hand.actuators]
+            joints = ids(model.joint, robot.prefix, robot.arm.joints)
+            actuators = ids(model.actuator, robot.prefix, robot.arm.actuators)
+            fingers = ids(model.joint, prefix, gripper.joints if gripper is not None else ())
+            drives = ids(model.actuator, prefix, [gripper.actuator] if gripper is not None else ())
+            hand_joints = ids(model.joint, prefix, hand.joints if hand is not None else ())
+            hand_actuators = ids(model.actuator, prefix, hand.actuators if hand is not None else ())
             base = model.body(robot.base_body).id
             tcp = model.site(robot.tcp_site).id
             motion = int(model.numeric(robot.motion).data[0])
@@ -73,7 +74,7 @@ class RobotLayout:
             finger_joint_ids=fingers,
             finger_qpos=_index(model.jnt_qposadr[fingers]),
             finger_qvel=_index(model.jnt_dofadr[fingers]),
-            finger_actuator=finger_actuator,
+            finger_actuator=drives[0] if drives else -1,
             hand_joint_ids=hand_joints,
             hand_actuator_ids=hand_actuators,
             hand_qpos=_index(model.jnt_qposadr[hand_joints]),
