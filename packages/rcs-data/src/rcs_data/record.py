@@ -23,7 +23,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, 
 
 import msgspec
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta as Meta
 from typing_extensions import Self, dataclass_transform, get_type_hints
 
 from rcs_data.errors import InvalidSetup, UnknownName
