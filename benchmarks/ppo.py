@@ -20,11 +20,9 @@ import torch
 import tyro
 
 import rcs
-from rcs.rl.learner import Learner
-from rcs.rl.recipes import recipe_for
-from rcs.rl.sb3 import Sb3VecEnv
-from rcs.rl.threads import cpus, measure_torch
-from rcs.rl.training import Training
+from rcs.rl import Sb3VecEnv, recipe_for
+from rcs.rl.sb3_learner import Sb3Learner
+from rcs.rl.threads import cpus, fastest_threads
 
 
 @dataclass(kw_only=True)
@@ -68,12 +66,9 @@ def main(options: Options) -> None:
     threads = options.threads or cpus()
     envs = rcs.make_vec(recipe.setup, copies=recipe.copies, threads=threads, autoreset="SameStep")
     timed = TimedEnvs(envs)
-    training = Training(
-        setup=recipe.setup, copies=recipe.copies, steps=recipe.steps, algorithm=recipe.algorithm, seed=0
-    )
-    chosen = measure_torch(training, timed.flat)
-    torch.set_num_threads(chosen.chosen)
-    learner = Learner(training, timed)
+    chosen = next(iter(fastest_threads(recipe, timed.flat)))
+    torch.set_num_threads(chosen)
+    learner = Sb3Learner(recipe, timed)
     learner.advance()  # the first one has work of its own
     whole, inside, without = [], [], []
     for _ in range(options.rounds):
@@ -99,7 +94,7 @@ def main(options: Options) -> None:
                 "copies": recipe.copies,
                 "control_hz": recipe.setup.frequency,
                 "physics_threads": threads,
-                "torch_threads": chosen.chosen,
+                "torch_threads": chosen,
             }
         )
     )

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rcs.errors import InvalidSetup
 from rcs.policy import Blend, ChunkPlan, Ensemble
-from rcs.policy.part import Part
+from rcs.policy.plan import Part
 from rcs.spatial import compose, distance, inverse, normalize, xyzrpy_to_tquat
 
 JOINTS = Part("joints", slice(0, 3), "linear")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import rcs
-from rcs.rl.algorithms import Ppo, Rlpd, Sac
+from rcs.rl.algorithms import Ppo, Sac
 from rcs.rl.training import Training
 
 SETUP = rcs.Setup(
@@ -24,9 +24,7 @@ SETUP = rcs.Setup(
 ALGORITHMS: dict[str, Ppo | Sac] = {
     "ppo": Ppo(n_steps=10, batch_size=10, n_epochs=2, network=(8,)),
     "sac": Sac(learning_starts=30, batch_size=8, gradient_steps=1, network=(8,), buffer_size=60),
-    "rlpd": Rlpd(learning_starts=30, batch_size=8, gradient_steps=1, network=(8,), buffer_size=200),
 }
-SETUPS = {"rlpd": replace(SETUP, relative="last_step", layers=("ObserveTarget",))}
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class Small:
     def training(self, name: str = "ppo", **changes: Any) -> Training:
         """Return a training by the name of its algorithm."""
         usual: dict[str, Any] = {
-            "setup": SETUPS.get(name, SETUP), "copies": 2, "steps": 160, "algorithm": ALGORITHMS[name],
+            "setup": SETUP, "copies": 2, "steps": 160, "algorithm": ALGORITHMS[name],
             "evaluate_every": 60, "checkpoint_every": 20, "episodes": 3, "torch_threads": 1,
         }  # fmt: skip
         return Training(**{**usual, **changes})

@@ -2,36 +2,36 @@ from __future__ import annotations
 
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
 
 import rcs
+from rcs.envs import spaces as keys
 from rcs.errors import InvalidSetup
-from rcs.rl import Flat, FlatLayout
+from rcs.rl import Flat, FlatLayout, Selection
+from rcs.rl.layout import Scales, bounds_of
 
 BOX = spaces.Box(0, 1, (1,), np.float32)
 
 
-def test_a_layout_prints_every_number_with_its_unit_and_source() -> None:
+def test_a_layout_prints_every_number_with_its_unit() -> None:
     flat = Flat(rcs.make(observe=("privileged",)))
     text = str(flat.layout)
-    assert "(value - [0 … 0.5]) / 0.25 m; half the diagonal of the task's area" in text
-    assert "rad/s; the arm's velocity limits" in text
+    assert "(value - [0 … 0.5]) / 0.25 m" in text
+    assert "privileged/cuboid/tquat (relative turn)" in text
     assert repr(flat) == f"Flat({flat.layout.state_size} numbers -> 8 numbers)"
 
 
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda values: values.update(version=99), "version 99; this program reads version 1"),
-        (lambda values: values.pop("state"), "The layout is damaged: KeyError"),
-        (lambda values: values["state"][1].update(colour="red"), "The layout is damaged: TypeError"),
-        (lambda values: values["state"][1]["scale"].append(1.0), "'gripper' does not fit its place"),
-        (lambda values: values["state"][1].update(kind="guess"), "'gripper' does not fit its place"),
-        (lambda values: values["state"].pop(0), "'gripper' does not fit its place"),
-        (lambda values: values["state"][1].update(scale=[0.0]), "'gripper' does not fit its place"),
-        (lambda values: values.update(images=[{"path": ["a"], "name": "a", "shape": [3, 4]}]), "image 'a'"),
+        (lambda values: values["state"][1].update(colour="red"), "no option of Entry named 'colour'"),
+        (lambda values: values["state"][1]["scale"].append(1.0), "'gripper' has 1 offsets and 2 scales"),
+        (lambda values: values["state"][1].update(kind="guess"), "kind is 'guess'; valid: 'value', 'turn'"),
+        (lambda values: values["state"][1].update(scale=[0.0]), "valid: a sequence .* above 0"),
+        (lambda values: values.update(images=[{"key": "a", "name": "a", "shape": [3, 4]}]), "shape is"),
     ],
 )
 def test_a_damaged_layout_is_refused(damage: Any, message: str) -> None:
@@ -41,5 +41,95 @@ def test_a_damaged_layout_is_refused(damage: Any, message: str) -> None:
     damage(values)
     with pytest.raises(InvalidSetup, match=message):
         FlatLayout.from_json(values)
-    with pytest.raises(InvalidSetup, match="The layout has version 'list'"):
-        FlatLayout.from_json([])
+
+
+def test_keys_choose_what_is_observed() -> None:
+    env = rcs.make(observe=("privileged", "contacts"))
+    whole = Flat(env)
+    flat = Flat(env, Selection(keys=("joints", "privileged"), features=()))
+    assert [one.key for one in flat.layout.state if one.kind == "value"] == [
+        "joints", "privileged/cuboid/tquat", "privileged/cuboid/velocity",
+    ]  # fmt: skip
+    observation, _ = env.reset(seed=0)
+    redundant = Flat(env, Selection(keys=("xyzrpy",), features=()))
+    (entry,) = redundant.layout.state
+    vector = redundant.observation(observation) * np.array(entry.scale) + entry.offset
+    np.testing.assert_allclose(vector, observation["xyzrpy"], atol=1e-6)
+    with pytest.raises(InvalidSetup, match="no key 'joint' of numbers in the observation; valid: finger_contacts"):
+        Flat(env, Selection(keys=("joint",)))
+    with pytest.raises(InvalidSetup, match=r"no cameras \['wrist'\]; valid: none"):
+        Flat(env, Selection(cameras=("wrist",)))
+    with pytest.raises(InvalidSetup, match="A layout was given and also a selection"):
+        Flat(whole.layout, Selection())
+    with pytest.raises(InvalidSetup, match="features is"):
+        Selection(features=("goal",))  # pyright: ignore[reportArgumentType]
+
+
+def test_spaces_alone_make_maps_with_general_scales() -> None:
+    env = rcs.make(observe=("privileged", "contacts"))
+    flat = Flat.from_spaces(env.action_space, env.observation_space)
+    observation, _ = env.reset(seed=0)
+    assert flat.layout.state_size == Flat(env).layout.state_size
+    assert np.abs(flat.observation(observation)).max() < 10.0
+    two = rcs.make("LiftBar", robot="dual_fr3", observe=("privileged",))
+    flat = Flat.from_spaces(two.action_space, two.observation_space)
+    assert {one.kind for one in flat.layout.state} == {"value", "turn"}  # where the bases stand is not known
+
+
+def test_spaces_without_numbers_or_bounds_are_refused() -> None:
+    box = spaces.Box(-1, 1, (2,))
+    with pytest.raises(InvalidSetup, match="'mode' has the space Discrete"):
+        Flat.from_spaces(spaces.Dict(mode=spaces.Discrete(3)), spaces.Dict(a=box))
+    with pytest.raises(InvalidSetup, match="'force' has no finite bounds"):
+        Flat.from_spaces(spaces.Dict(force=spaces.Box(-np.inf, np.inf, (1,))), spaces.Dict(a=box))
+    with pytest.raises(InvalidSetup, match="Nothing is left to observe"):
+        Flat.from_spaces(spaces.Dict(a=box), spaces.Dict())
+    unbounded = spaces.Dict(a=spaces.Box(np.array([-np.inf, 0]), np.array([np.inf, 4]), dtype=np.float64), b=box)
+    flat = Flat.from_spaces(spaces.Dict(a=box), unbounded)
+    np.testing.assert_array_equal(flat.observation({"a": np.array([30.0, 4.0]), "b": np.zeros(2)}), [30, 1, 0, 0])
+    with pytest.raises(InvalidSetup, match=r"make the maps with Flat\.from_spaces"):
+        Flat(gymnasium.make("CartPole-v1"))  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("robot", ["fr3", "ur5e", "so101", "xarm7"])
+def test_positions_are_measured_from_the_middle_of_the_task_s_area(robot: str) -> None:
+    env = rcs.make("Free" if robot == "xarm7" else "PickCuboid", robot=robot)
+    area, placement = env.scenario.task.area, env.robots[robot]
+    scales = Scales(env.robots, area)
+    offset, scale = (numbers[:3] for numbers in scales.of(keys.TQUAT, keys.tquat_space()))
+    mount = placement.base_in_scene
+    in_scene = rcs.Pose(mount.translation, mount.quaternion) * rcs.Pose(offset, (0, 0, 0, 1))
+    np.testing.assert_allclose(in_scene.translation, [*area.center, 0.0], atol=1e-9)
+    corner = 0.5 * np.array(area.size)
+    assert np.linalg.norm(corner) <= scale[0] + 1e-12  # all of the area is within 1
+    assert scale[0] >= 0.25 * placement.arm.workspace_reach
+    speeds = scales.of(keys.JOINT_VELOCITIES, keys.velocities_space(placement.arm.dof))
+    np.testing.assert_array_equal(speeds[1], placement.arm.velocity_limit)
+
+
+def test_where_the_arm_is_not_known_scales_are_general_ones() -> None:
+    for key, box in (
+        (keys.JOINT_VELOCITIES, keys.velocities_space(3)),
+        (f"privileged/cup/{keys.VELOCITY}", keys.twist_space()),
+        (keys.TQUAT, keys.tquat_space()),
+        (keys.XYZRPY, keys.xyzrpy_space()),
+        (keys.TCP_WRENCH, keys.load_spaces([1.0])[keys.TCP_WRENCH]),
+    ):
+        offset, scale = Scales({}, None).of(key, box)
+        assert offset.shape == scale.shape == box.shape
+        assert (scale > 0).all()
+        assert (scale < box.high).all() or key in (keys.TQUAT, keys.XYZRPY)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "offset", "scale"),
+    [
+        ([-1, 0], [3, 1], [1, 0.5], [2, 0.5]),
+        ([2, -np.inf], [2, 5], [2, 0], [1, 1]),
+        ([0, 0], [np.inf, 2], [0, 1], [1, 1]),
+    ],
+)
+def test_bounds_become_minus_one_and_one_where_there_are_any(low: Any, high: Any, offset: Any, scale: Any) -> None:
+    found = bounds_of(spaces.Box(np.array(low, np.float64), np.array(high, np.float64), dtype=np.float64))
+    np.testing.assert_array_equal(found[0], offset)
+    np.testing.assert_array_equal(found[1], scale)

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.rl import Flat, Sb3VecEnv
-from rcs.rl.algorithms import Ppo
-from rcs.rl.networks import make_model, make_policy
-from rcs.rl.training import Training
+from rcs.rl import Flat, Ppo, Sb3VecEnv, Training
+from rcs.rl.networks import make_policy
+from rcs.rl.sb3_learner import make_model
 
 pytestmark = pytest.mark.extras
 

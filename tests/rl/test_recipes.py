@@ -33,6 +33,6 @@ def test_the_recipe_moves_every_robot_by_translation_yaw_and_gripper(robot: str)
 def test_an_update_of_a_recipe_sees_whole_episodes(task: str, algorithm: Any) -> None:
     recipe = recipe_for(task, algorithm)
     assert recipe.setup.task == task
-    assert Training.from_json(Training.of(recipe).to_json()) == Training.of(recipe)
+    assert Training.from_json(recipe.to_json()) == recipe
     if isinstance(recipe.algorithm, Ppo):
         assert recipe.algorithm.n_steps == recipe.setup.max_episode_steps

@@ -9,14 +9,13 @@ from typing import Any
 from rcs.rl import report
 from rcs.rl.metrics import EPISODES, JUDGED, RATE, SPEED, SUCCESSES, Row
 from rcs.rl.recipes import RECIPES
-from rcs.rl.training import Training
 
 EVIL = "<img src=x onerror=hacked()>"
 
 
 def test_the_page_has_rates_curves_and_settings_and_words_are_words(tmp_path: Path) -> None:
-    training = Training.of(RECIPES["PickCuboid", "ppo"], steps=10_000)
-    training = replace(training, setup=replace(training.setup, task=EVIL))
+    recipe = RECIPES["PickCuboid", "ppo"]
+    training = replace(recipe, steps=10_000, setup=replace(recipe.setup, task=EVIL))
     rows = [
         Row(steps=steps, seconds=steps / 100, time=0.0, figures={
             EPISODES: 10, JUDGED: 10, SUCCESSES: wins, RATE: wins / 10, SPEED: 700.0, "train/value_loss": 1 / wins,

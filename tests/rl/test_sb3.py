@@ -138,38 +138,6 @@ def test_a_seed_decides_what_follows_and_no_seed_goes_on_with_the_next_episodes(
 
 
 @pytest.mark.extras
-def test_first_episodes_can_be_spread_over_their_length() -> None:
-    learner = Sb3VecEnv(copies(max_episode_steps=6), spread=True)
-    plain = Sb3VecEnv(copies(max_episode_steps=6))
-    action = np.full((COPIES, *learner.action_space.shape), 0.3, np.float32)
-    for _ in range(2):  # also after another reset
-        learner.seed(3)
-        plain.seed(3)
-        np.testing.assert_array_equal(learner.reset(), plain.reset())
-        ends: list[tuple[int, int]] = []
-        for step in range(1, 13):
-            before, _, _, _ = plain.step(action)
-            observation, _, done, infos = learner.step(action)
-            assert plain.observation_space.contains(observation[0])
-            for copy in np.flatnonzero(done).tolist():
-                ends.append((step, copy))
-                assert infos[copy]["TimeLimit.truncated"]
-                assert ("episode" in infos[copy]) == (infos[copy]["end"] != "cut")
-                if infos[copy]["end"] == "cut":
-                    np.testing.assert_array_equal(infos[copy]["terminal_observation"], before[copy])
-                    assert not np.array_equal(observation[copy], before[copy])
-                else:
-                    assert infos[copy]["episode"]["l"] == 6
-        assert ends == [(2, 2), (4, 1), (6, 0), (8, 2), (10, 1), (12, 0)]
-    learner.close()
-    plain.close()
-    endless = copies(max_episode_steps=None)
-    with pytest.raises(InvalidSetup, match="set max_episode_steps"):
-        Sb3VecEnv(endless, spread=True)
-    endless.close()
-
-
-@pytest.mark.extras
 def test_rewards_are_scaled_and_the_returns_that_are_told_are_not() -> None:
     learner, plain = Sb3VecEnv(copies(), reward_scale=4.0), Sb3VecEnv(copies())
     for one in (learner, plain):
@@ -188,7 +156,7 @@ def test_rewards_are_scaled_and_the_returns_that_are_told_are_not() -> None:
 
 @pytest.mark.extras
 def test_what_was_counted_goes_on_in_other_copies() -> None:
-    first, second = (Sb3VecEnv(copies(max_episode_steps=6), spread=True) for _ in range(2))
+    first, second = (Sb3VecEnv(copies(max_episode_steps=6)) for _ in range(2))
     action = np.full((COPIES, *first.action_space.shape), 0.3, np.float32)
     first.reset()
     for _ in range(3):

@@ -19,8 +19,7 @@ from rcs.cli.setup_options import SetupOptions
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.policy import NOTES, Execution, Mode, ServedPolicy
-from rcs.policy.fitting import fitted
+from rcs.policy import NOTES, Execution, Mode, ServedPolicy, fitted
 from rcs.rollout.episode import ask
 from rcs.rollout.evaluate import UNSEEN, Evaluation, Summary, evaluate
 from rcs.rollout.policy_report import write_policy_report

@@ -26,7 +26,7 @@ from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.rl.algorithms import AlgorithmName
 from rcs.rl.checkpoint import Score
-from rcs.rl.recipes import RECIPES, Recipe, recipe_for
+from rcs.rl.recipes import RECIPES, recipe_for
 from rcs.rl.report import write_report
 from rcs.rl.run import read_training
 from rcs.rl.train import Progress, require_trainable, train
@@ -83,7 +83,7 @@ class TrainCommand:
     device: str = "cpu"
     """Where the networks are: `cpu`, or `cuda` for a GPU."""
     threads: int = 0
-    """Threads for physics and drawing; 0 to measure which number is fastest. They change no result."""
+    """Threads for physics and drawing; 0 for one per CPU. They change no result."""
     torch_threads: int = 0
     """Threads of torch on the CPU; 0 to measure which number is fastest."""
     trust: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[MODULE ...]")] = ()
@@ -153,24 +153,20 @@ class TrainCommand:
         recipe = self._recipe()
         rate = {} if self.learning_rate is None else {"learning_rate": self.learning_rate}
         setup = self._setup(recipe.setup)
-        training = Training(
+        training = replace(
+            recipe,
             setup=setup,
             copies=recipe.copies if self.copies is None else self.copies,
             steps=recipe.steps if self.steps is None else self.steps,
             algorithm=replace(recipe.algorithm, **rate),
-            seed=self.seed,
-            evaluate_every=self.evaluate_every,
-            episodes=self.episodes,
             evaluation_steps=recipe.evaluation_steps if "max_episode_steps" not in given(self.environment) else 0,
-            checkpoint_every=self.checkpoint_every,
-            device=self.device,
-            torch_threads=self.torch_threads,
+            **{name: getattr(self, name) for name in _OF_TRAINING},
         )
         name = self.task.replace(":", ".").replace(os.sep, ".")
         run = f"{name}-{setup.robot_label}-{self.algo}" + ("" if self.seeds else f"-{self.seed}")
         return training, self.out or Path("runs", run)
 
-    def _recipe(self) -> Recipe:
+    def _recipe(self) -> Training:
         """Return the recipe, whose teacher and cameras nobody named: it is said where they come from.
 
         Raises:
@@ -204,6 +200,10 @@ class TrainCommand:
         if options.get("control", setup.control) != setup.control:
             options = {"layers": (), **options}
         return with_camera_names(changed(setup, options))
+
+
+_OF_TRAINING = ("seed", "evaluate_every", "episodes", "checkpoint_every", "device", "torch_threads")
+"""Options that are fields of a training."""
 
 
 class _TimeLeft(ProgressColumn):

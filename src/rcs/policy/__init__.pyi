@@ -2,8 +2,8 @@ from rcs.policy.agent import NOTES as NOTES
 from rcs.policy.agent import ChunkAgent as ChunkAgent
 from rcs.policy.execution import Execution as Execution
 from rcs.policy.execution import Mode as Mode
-from rcs.policy.fitting import fitted as fitted
-from rcs.policy.offer import offer_of as offer_of
+from rcs.policy.interface import fitted as fitted
+from rcs.policy.interface import offer_of as offer_of
 from rcs.policy.plan import Blend as Blend
 from rcs.policy.plan import ChunkPlan as ChunkPlan
 from rcs.policy.plan import Ensemble as Ensemble

@@ -15,21 +15,16 @@ from rcs.agents import Agent, Event
 from rcs.envs.env import Env
 from rcs.envs.spaces import Action, Observation
 from rcs.errors import InvalidSetup, RcsError
-from rcs.policy.execution import Execution
-from rcs.policy.executor import Executor, Flight
-from rcs.policy.form import ActionForm
-from rcs.policy.holding import Holding
-from rcs.policy.inquiry import SimulatedInquiry, ThreadedInquiry
-from rcs.policy.offer import require_fit
-from rcs.policy.packages import vlagents
-from rcs.policy.plan import ChunkPlan
-from rcs.policy.showing import shown
+from rcs.policy.actions import PolicyActions
+from rcs.policy.execution import Execution, Executor
+from rcs.policy.interface import policy_observation, require_fit, vlagents
+from rcs.policy.plan import ChunkPlan, Plan
 
 if TYPE_CHECKING:
     from vlagents import Metadata, Policy
 
 NOTES = ("policy_latency", "policy_age", "policy_chunk", "policy_row", "policy_is_held", "policy_is_clipped")
-"""What is recorded beside every step: how long the newest answer was on its way [s], how old the observation is that it
+"""Notes that are recorded with every step: how long the newest answer took [s], how old the observation is that it
 answers [s], the number of the chunk in the episode and of its row, whether the robot was held, and whether the policy
 wanted more than the environment takes."""
 
@@ -37,12 +32,12 @@ LOST = "policy"
 """The class of a failure in which the policy, or the connection to it, failed."""
 
 WAIT = 5.0
-"""How long a policy that cannot be reached is waited for when an episode begins [s], by the clock."""
+"""How long an episode waits at its beginning for a policy that cannot be reached [s], by the clock."""
 PAUSE = 0.2
-"""Between two attempts to reach it [s]."""
+"""Pause between two attempts to reach it [s]."""
 
 CONTINUES = "continues"
-"""Key of a chunk's info: 1 if the policy has made it go on from what was in flight."""
+"""Key of a chunk's info: 1 if the policy has continued what was in flight."""
 
 _numbers = itertools.count()
 
@@ -51,8 +46,8 @@ class ChunkAgent(Agent):
     """Shows a policy what the environment observes, and executes its chunks by time.
 
     In simulation, time is the simulation's, and stands still while the policy computes: the same seed gives the same
-    bytes. Where steps take real time, a thread asks, and time is the host's monotonic clock. When there is nothing to
-    execute, because the policy is late, silent, gone, or sends what is no chunk, the robot holds.
+    bytes. Where steps take real time, a thread calls the policy, and time is the host's monotonic clock. When there is
+    nothing to execute, because the policy is late, silent, gone, or sends what is no chunk, the robot holds.
     """
 
     def __init__(
@@ -65,14 +60,14 @@ class ChunkAgent(Agent):
         session: str | None = None,
         owns_policy: bool = True,
     ) -> None:
-        """Prepare to act in an environment; nothing is asked yet.
+        """Prepare to act in an environment; the policy is not called yet.
 
         Args:
             env: The environment.
             policy: A policy of vlagents: a client, or one in this process.
             execution: How its chunks are executed; None for the usual way.
-            instruction: What the policy is told to do; None for what the environment says.
-            session: Whose observations these are, among all that this policy is shown; None for a new one.
+            instruction: The instruction for the policy; None for the environment's.
+            session: The policy's session for this robot, if it serves several; None for a new one.
             owns_policy: Whether `close` closes the policy too.
 
         Raises:
@@ -85,24 +80,18 @@ class ChunkAgent(Agent):
         require_fit(env, self.metadata)
         execution = execution or Execution()
         if env.is_real and execution.latency:
-            raise InvalidSetup(f"latency is {execution.latency} s; in real time it is what it is, leave it out.")
+            raise InvalidSetup(f"latency is {execution.latency} s; it is for simulated time, remove it in real time.")
         self.execution = execution
         """How chunks are executed."""
         self._period = 1.0 / env.frequency
-        self._instruction, self._owns_policy = instruction, owns_policy
+        self._given_instruction, self._owns_policy = instruction, owns_policy
         self._session = session or f"{env.setup.robot_label} {next(_numbers)}"
-        self._form = ActionForm(env, self.metadata)
-        self._holding = Holding(env)
-        inquiry = ThreadedInquiry(f"policy {self._session}") if env.is_real else SimulatedInquiry(execution.latency)
-        self._executor = Executor(execution, inquiry, self._period)
-        self._told = ""
+        self._actions = PolicyActions(env, self.metadata)
+        self._executor = Executor(execution, self._period, f"policy {self._session}" if env.is_real else None)
+        self._instruction = ""
         self._needs_reset = self._has_ended = False
         self._message: str | None = None
         self._now = self._begun = 0.0
-        self.steps = self.held = 0
-        """Steps, and how many of them the robot was held, of all episodes."""
-        self.seconds: list[float] = []
-        """What each answer took by the wall clock [s], of all episodes before the present one."""
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Begin an episode; a policy that fails does so in this episode, and the robot holds.
@@ -111,11 +100,11 @@ class ChunkAgent(Agent):
             RcsError: The policy cannot be reached, for `WAIT` seconds.
             InvalidSetup: Another policy is at the address.
         """
-        self.seconds += self._executor.seconds
         self._executor.reset()
-        self._holding.reset(observation)
+        self._actions.reset(observation)
         self._has_ended, self._message = False, None
-        self._told = str(info.get("instruction", "")) if self._instruction is None else self._instruction
+        given = self._given_instruction
+        self._instruction = str(info.get("instruction", "")) if given is None else given
         self._begun = float(info.get("time", 0.0))
         self._now = self._time(info)
         self._needs_reset = True
@@ -126,22 +115,17 @@ class ChunkAgent(Agent):
         except Exception as err:  # whatever it is, the robot holds and the log says why
             if self._is_gone(err):
                 raise RcsError(f"{type(err).__name__}: {err} So this episode was not begun.") from err
-            self._fail(err)
+            self._executor.fail(err, self._now)
+            self._lose(err)
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Return the action for this moment, or that of holding."""
         self._now = now = self._time(info)
         had_error = self._executor.error is not None
-        command = self._executor.step(now, lambda flight: self._question(observation, info, flight))
+        command = self._executor.step(now, lambda plan, delay: self._question(observation, info, plan, delay))
         if self._executor.error is not None and not had_error:
-            self._lost(self._executor.error)
-        self.steps += 1
-        if command is None:
-            self.held += 1
-            return self._holding.action(observation)
-        values = self._form.bounded(command)
-        self._holding.moved(values)
-        return self._form.action(values)
+            self._lose(self._executor.error)
+        return self._actions.hold(observation) if command is None else self._actions.action(command)
 
     def notes(self) -> Mapping[str, Any]:
         """Return latency, age, place in the chunk, and whether the robot is held; see `NOTES`."""
@@ -151,13 +135,13 @@ class ChunkAgent(Agent):
             executor.age(self._now),
             float(executor.chunks - 1) if executor.chunks else np.nan,
             executor.row(self._now),
-            float(self._holding.is_on),
-            float(self._form.is_clipped and not self._holding.is_on),
+            float(self._actions.is_held),
+            float(self._actions.is_clipped),
         )
         return dict(zip(NOTES, values, strict=True))
 
     def events(self) -> Sequence[Event]:
-        """Return `stop` once the policy is lost and is not to be waited for."""
+        """Return `stop` once the policy is lost and `on_loss` is `end`."""
         return ("stop",) if self._has_ended else ()
 
     @property
@@ -176,7 +160,7 @@ class ChunkAgent(Agent):
         return self._executor.error
 
     def close(self) -> None:
-        """Let the policy forget, and close what is one's own."""
+        """End the session, and close the policy if it is owned."""
         self._executor.close()
         if self._owns_policy:
             self._policy.close()
@@ -184,12 +168,10 @@ class ChunkAgent(Agent):
         with contextlib.suppress(self._v.VlagentsError, OSError):  # one that has gone has forgotten
             self._policy.forget(self._session)
 
-    # --- Time ---------------------------------------------------------------------------------------------------------
-
     def _time(self, info: Mapping[str, Any]) -> float:
         """Return when the present step begins [s]: in simulated time, or by the monotonic clock.
 
-        Simulated steps of 1/30 s are 16, 17 and 17 physics steps long; what is meant is counted, and not the rounding.
+        Simulated steps of 1/30 s are 16, 17 and 17 physics steps long; they count as 1/30 s each.
         """
         if self._env.is_real:
             return time.perf_counter()
@@ -198,12 +180,10 @@ class ChunkAgent(Agent):
             return simulated
         return self._begun + round((simulated - self._begun) / self._period) * self._period
 
-    # --- Asking -------------------------------------------------------------------------------------------------------
-
     def _begin(self) -> None:
-        """Tell the policy that an episode begins; a client whose server was gone connects anew."""
+        """Begin an episode of the policy; a client whose server was gone connects anew."""
         seed = int(self._env.np_random_seed) % 2**32
-        self._policy.reset(self._session, self._told, seed=seed)
+        self._policy.reset(self._session, self._instruction, seed=seed)
         if self._policy.metadata() != self.metadata:
             self._has_ended = True
             raise InvalidSetup("Another policy is at the address now; make the agent anew.")
@@ -221,30 +201,28 @@ class ChunkAgent(Agent):
             time.sleep(PAUSE)
 
     def _is_gone(self, error: Exception) -> bool:
-        """Return whether there is no policy to speak of, rather than one that fails."""
+        """Return whether the policy cannot be reached, rather than one that fails."""
         own = (self._v.PolicyFailed, self._v.InvalidInput)
         return isinstance(error, (self._v.VlagentsError, OSError)) and not isinstance(error, own)
 
-    def _fail(self, error: Exception) -> None:
-        self._executor.fail(error, self._now)
-        self._lost(error)
-
-    def _lost(self, error: Exception) -> None:
+    def _lose(self, error: Exception) -> None:
         self._needs_reset = True
         self._message = self._message or f"{type(error).__name__}: {error}"
         self._has_ended |= self.execution.on_loss == "end"
 
     def _question(
-        self, observation: Observation, info: Mapping[str, Any], flight: Flight | None
+        self, observation: Observation, info: Mapping[str, Any], plan: Plan | None, delay: float
     ) -> Callable[[], ChunkPlan]:
-        """Return what is asked about the present observation, to be called by whoever asks."""
-        seen = shown(observation, info, self.metadata, time=self._now, instruction=self._told, session=self._session)
-        start = self._form.start(observation, info, is_held=self._holding.is_on)
-        if flight is not None and self.metadata.continues:
-            previous = self._form.in_flight(flight.plan, self._now, start)
-            seen = replace(seen, previous=previous, frozen=self._form.frozen(flight.delay, len(previous)))
+        """Return the call of the policy for the present observation; see `Question`."""
+        seen = policy_observation(
+            observation, self.metadata, time=self._now, instruction=self._instruction, session=self._session
+        )
+        start = self._actions.start(observation, info)
+        if plan is not None and self.metadata.continues:
+            previous = self._actions.in_flight(plan, self._now, start)
+            seen = replace(seen, previous=previous, frozen=self._actions.frozen(delay, len(previous)))
 
-        def ask() -> ChunkPlan:
+        def compute() -> ChunkPlan:
             if self._needs_reset:
                 self._begin()
             chunk = self._policy.infer(seen)
@@ -255,7 +233,7 @@ class ChunkAgent(Agent):
             # Without a rate, a row is a step of this loop.
             period = chunk.period if self.metadata.rate > 0 else self._period
             return ChunkPlan(
-                self._form.parts,
+                self._actions.parts,
                 chunk.actions,
                 time=seen.time,
                 period=period,
@@ -263,4 +241,4 @@ class ChunkAgent(Agent):
                 continues=chunk.info.get(CONTINUES) == 1,
             )
 
-        return ask
+        return compute

@@ -1,56 +1,210 @@
-"""How chunks of actions are executed: what is asked when, and what is done with an answer."""
+"""Execution of chunks: when the policy is called, and what is commanded at every step."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
-from typing import Literal, get_args
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Literal
 
-from rcs.errors import InvalidSetup
+from rcs_data.record import NotNegative, Record, Whole
+
+from rcs.policy.plan import Blend, ChunkPlan, Command, Ensemble, Plan
+from rcs.worker import Worker
 
 Mode = Literal["open_loop", "receding", "ensemble", "rtc"]
-"""`open_loop`: execute some rows, hold, ask. `receding`: ask while the rest of the chunk is executed, and change over
-when the answer is there. `ensemble`: ask all the time, and execute the mean of all chunks that speak of now (ACT).
-`rtc`: as `receding`, but blend over from the chunk in flight (real-time chunking)."""
+"""`open_loop`: execute some rows, hold, call the policy. `receding`: call it while the rest of the chunk is executed,
+and change over when the answer is there. `ensemble`: call it all the time, and execute the mean of all chunks for the
+moment (ACT). `rtc`: as `receding`, but blend over from the chunk in flight (real-time chunking)."""
+
+NEAR = 1e-9
+"""Time that is rounding [s]."""
+_DELAYS = 10
+"""As in real-time chunking, the longest of so many last delays is expected next."""
+
+_log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Execution:
-    """How chunks are executed. In all modes actions are picked by time: an answer that is late skips and never lags."""
+class Execution(Record):
+    """How chunks are executed. In all modes actions are picked by time: a late answer skips rows and never lags."""
 
     mode: Mode = "receding"
-    """What is asked when, and what is done with an answer."""
-    rows: int | None = None
-    """Rows of a chunk that pass, by time, before the next one is asked for. None for all of them in `open_loop`, and
-    half of them otherwise; `ensemble` asks as often as it is answered."""
-    latency: float = 0.0
-    """How much later than asked an answer becomes known, in simulated time [s]. Only where time is simulated, which
-    stands still while the policy computes; in real time, answers take as long as they take."""
-    valid_for: float | None = None
+    """When the policy is called, and what is done with its answer."""
+    rows: Whole | None = None
+    """Rows of a chunk that pass, by time, before the policy is called again. None for all of them in `open_loop`, and
+    half of them otherwise; `ensemble` calls it as often as it answers."""
+    latency: NotNegative = 0.0
+    """How long an answer takes in simulated time [s], which stands still while the policy computes. In real time,
+    answers take as long as they take."""
+    valid_for: NotNegative | None = None
     """Time to live of an action: how old the observation that it answers may be [s]. Later, the robot holds. None for
     as long as the chunk has rows."""
-    decay: float = 0.01
+    decay: NotNegative = 0.01
     """ACT's m: the weight of the i-th oldest chunk is exp(-m·i). 0 weighs all alike; more trusts the older ones."""
     on_loss: Literal["reconnect", "end"] = "reconnect"
-    """After an error of the policy or its connection, the robot holds; then, connect again and go on, or end the
+    """After an error of the policy or its connection, the robot holds; then, connect again and continue, or end the
     episode."""
-    retry: float = 1.0
-    """How long to hold after an error before the policy is asked again [s]."""
+    retry: NotNegative = 1.0
+    """How long to hold after an error before the policy is called again [s]."""
 
-    def __post_init__(self) -> None:
-        """Check the fields.
 
-        Raises:
-            InvalidSetup: One is wrong.
+class PolicyCall:
+    """A call of the policy: its result counts after a latency of simulated time, or is computed by a thread."""
+
+    def __init__(self, compute: Callable[[], ChunkPlan], start: float) -> None:
+        """Prepare the call.
+
+        Args:
+            compute: Calls the policy.
+            start: When, in the time of the loop [s].
         """
-        for name, options in (("mode", get_args(Mode)), ("on_loss", ("reconnect", "end"))):
-            if getattr(self, name) not in options:
-                raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid: {', '.join(map(repr, options))}.")
-        if self.rows is not None and (not isinstance(self.rows, int) or isinstance(self.rows, bool) or self.rows < 1):
-            raise InvalidSetup(f"rows is {self.rows!r}; valid is a whole number from 1, or None.")
-        for own in fields(self):
-            value = getattr(self, own.name)
-            if own.name not in ("latency", "valid_for", "decay", "retry") or value is None:
-                continue
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
-                raise InvalidSetup(f"{own.name} is {value!r}; valid is a number from 0.")
+        self._compute, self.start = compute, start
+        self.plan: ChunkPlan | None = None
+        """The result; None after an error."""
+        self.error: Exception | None = None
+        """The error, if there was one."""
+        self.seconds = 0.0
+        """How long it took by the wall clock [s]."""
+        self.is_done = threading.Event()
+
+    def run(self) -> None:
+        """Call the policy."""
+        begin = time.perf_counter()
+        try:
+            self.plan = self._compute()
+        except Exception as err:  # noqa: BLE001  whatever it is, the robot holds and the log says why
+            self.error = err
+        self.seconds = time.perf_counter() - begin
+        self.is_done.set()
+
+
+Question = Callable[[Plan | None, float], Callable[[], ChunkPlan]]
+"""Makes a call of the present observation, from the plan that is still executed, for policies that continue it, and the
+time that passes until the result is expected [s]."""
+
+
+class Executor:
+    """Calls the policy and executes its chunks by time; it knows neither policy nor robot, and reads no clock."""
+
+    def __init__(self, execution: Execution, period: float, thread: str | None = None) -> None:
+        """Prepare.
+
+        Args:
+            execution: How chunks are executed.
+            period: How long a step of the loop is [s].
+            thread: Name of the thread that calls the policy, so that a loop in real time never waits; None for
+                simulated time, where the loop waits and the result counts after `execution.latency`.
+        """
+        self._execution, self._period = execution, period
+        self._worker = None if thread is None else Worker(thread, PolicyCall.run)
+        self.error: Exception | None = None
+        """Why the robot holds, if the policy or its connection failed."""
+        self.chunks = 0
+        """Chunks of this episode."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin an episode; the result of a call that is under way is dropped."""
+        self._call: PolicyCall | None = None
+        self._plan: Plan | None = None
+        self._newest: ChunkPlan | None = None
+        self._due = 0.0
+        self._latencies: list[float] = []
+        self._retry_at: float | None = None
+        self.error, self.chunks = None, 0
+
+    @property
+    def latency(self) -> float:
+        """How long the newest answer took, in the time of the loop [s]."""
+        return self._latencies[-1] if self._latencies else float("nan")
+
+    def fail(self, error: Exception, now: float) -> None:
+        """Have the robot hold because of an error, at a time [s]."""
+        _log.error("The robot holds, because its policy failed: %s: %s", type(error).__name__, error)
+        self.error = error
+        self._call = self._plan = self._newest = None
+        self._retry_at = now + self._execution.retry
+
+    def step(self, now: float, question: Question) -> Command | None:
+        """Return what to command for the step that begins now; None to hold.
+
+        Args:
+            now: The time [s].
+            question: Makes a call of the present observation.
+        """
+        self._take(now)
+        if self._call is None and self._is_due(now):
+            self._start(now, question)
+            self._take(now)  # in simulated time the result may be there at once
+        if self._plan is None:
+            return None
+        self._plan = self._plan.simplified(now)
+        if self._execution.mode == "open_loop" and now >= self._due - NEAR:
+            return None
+        limit = self._execution.valid_for
+        if limit is not None and now - self._plan.begin > limit + NEAR:
+            return None
+        return self._plan.at(now, self._period)
+
+    def age(self, now: float) -> float:
+        """Return how old the observation is that the newest chunk answers [s]."""
+        return float("nan") if self._newest is None else now - self._newest.begin
+
+    def row(self, now: float) -> float:
+        """Return which row of the newest chunk a step belongs to that begins at a time."""
+        return float("nan") if self._newest is None else float(self._newest.row(now + self._period / 2))
+
+    def close(self) -> None:
+        """End the thread; one that waits for a silent policy is left behind after a second."""
+        if self._worker is not None:
+            self._worker.close(timeout=1.0)
+
+    def _is_due(self, now: float) -> bool:
+        if self.error is not None:
+            return (
+                self._execution.on_loss == "reconnect" and self._retry_at is not None and now >= self._retry_at - NEAR
+            )
+        return self._newest is None or self._execution.mode == "ensemble" or now >= self._due - NEAR
+
+    def _start(self, now: float, question: Question) -> None:
+        """Call the policy, or have the thread call it."""
+        in_flight = self._plan if self._execution.mode == "rtc" else None
+        self._call = PolicyCall(question(in_flight, max(self._latencies[-_DELAYS:], default=0.0)), now)
+        if self._worker is None:
+            self._call.run()
+        else:
+            self._worker.put(self._call)
+
+    def _take(self, now: float) -> None:
+        """Take the result of the call, once it is there."""
+        call, latency = self._call, self._execution.latency
+        if call is None or not call.is_done.is_set():
+            return
+        if self._worker is None and now < call.start + latency - NEAR:
+            return
+        self._call = None
+        if call.plan is None:
+            assert call.error is not None, "a call ends with a plan or an error"
+            self.fail(call.error, now)
+            return
+        if self.error is not None:
+            _log.warning("The policy answers again after: %s", self.error)
+            self.error = None
+        self._latencies.append(latency if self._worker is None else call.seconds)
+        self._change_over(call.plan, now)
+
+    def _change_over(self, new: ChunkPlan, now: float) -> None:
+        """Execute a new chunk from now on."""
+        mode, self.chunks = self._execution.mode, self.chunks + 1
+        old, self._newest = self._plan, new
+        horizon = round((new.end - new.begin) / new.period)
+        rows = self._execution.rows or (horizon if mode == "open_loop" else max(1, horizon // 2))
+        # An open loop counts the rows that it executes; the other modes call the policy at a rate.
+        self._due = min((now if mode == "open_loop" else new.begin) + rows * new.period, new.end)
+        if mode == "ensemble":
+            self._plan = old.joined(new, now) if isinstance(old, Ensemble) else Ensemble([new], self._execution.decay)
+        elif mode == "rtc" and old is not None and old.end > now + NEAR and not new.continues:
+            self._plan = Blend(old, new, now, old.end)
+        else:
+            self._plan = new

@@ -12,7 +12,7 @@ from rcs.envs.env import Env
 from rcs.errors import InvalidSetup, RcsError
 from rcs.policy.agent import ChunkAgent
 from rcs.policy.execution import Execution
-from rcs.policy.packages import vlagents
+from rcs.policy.interface import vlagents
 
 if TYPE_CHECKING:
     from vlagents import Metadata

@@ -1,13 +1,13 @@
-"""Checkpoints on disk: a folder each, which appears whole or not at all, and is read without running anything in it.
+"""Checkpoints on disk: a folder each, which appears whole or not at all, and is read without running code from it.
 
 A run's folder has
 
     training.json             what is trained
     checkpoints/<steps>/      complete when it is there
-        checkpoint.json       what was trained, what the policy's vectors are, how it did, hashes of the files
+        checkpoint.json       the training, the layout of the policy's vectors, its score, hashes of the files
         policy.pt             the weights that act
-        learner.pt            the rest that training goes on from; of the newest checkpoints alone
-    replay/<first>-<last>.pt  transitions that off-policy learners remember, each written once
+        learner.pt            the rest from which training continues; in the newest checkpoints alone
+    replay/<first>-<last>.pt  transitions that learners remember, each written once
     metrics.jsonl             a line of figures now and then
     tensorboard/              the same as TensorBoard's events
     videos/<steps>.mp4
@@ -17,18 +17,21 @@ A run's folder has
 from __future__ import annotations
 
 import hashlib
+import io
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rcs_data.durable import disk_errors, remove_tree, sealed, sync_folder, unsealed, write_file
 from rcs_data.json_file import read_bytes
+from rcs_data.record import Natural, Record
 
 from rcs.errors import CorruptCheckpoint, CorruptEpisode, InvalidSetup
 from rcs.rl.layout import FlatLayout
-from rcs.rl.tensors import from_bytes, to_bytes
+from rcs.rl.packages import package
 from rcs.rl.training import VERSION, Training
 
 CHECKPOINTS = "checkpoints"
@@ -37,19 +40,23 @@ POLICY = "policy.pt"
 LEARNER = "learner.pt"
 REPLAY = "replay"
 RESUMABLE = 3
-"""From so many of the newest checkpoints training can go on: if one is damaged, from the one before."""
+"""Training can continue from so many of the newest checkpoints: if one is damaged, from the one before."""
 
 _PARTIAL = ".partial"
 _NAME = re.compile(r"\d{9,}")
+_ARRAY = "__array__"
+"""Key of an array among the values of a file, to tell it from a tensor."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Score:
-    """How a policy did in the evaluation of its checkpoint."""
+class Score(Record):
+    """Result of a policy in the evaluation of its checkpoint."""
 
-    episodes: int
-    successes: int
-    judged: int
+    episodes: Natural
+    """Episodes."""
+    successes: Natural
+    """Episodes that were judged and succeeded."""
+    judged: Natural
+    """Episodes that the task judged."""
     reward: float
     """Mean sum of an episode's rewards."""
     length: float
@@ -59,14 +66,14 @@ class Score:
     def order(self) -> float:
         """A higher one is better: the rate of success, or the reward where nothing is judged.
 
-        Of equal rates, more reward is no better: the dense reward pays for every step, so for being slow, too.
+        Among equal rates, more reward is no better: the dense reward pays for every step, so for being slow, too.
         """
         return self.successes / self.judged if self.judged else self.reward
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint:
-    """A checkpoint's description; weights are read when they are asked for."""
+    """A checkpoint's description; weights are read on demand."""
 
     path: Path
     """Its folder."""
@@ -77,13 +84,13 @@ class Checkpoint:
     seconds: float
     """How long training took until here [s]."""
     layout: FlatLayout
-    """What the numbers of the policy's vectors are."""
+    """The numbers of the policy's vectors."""
     score: Score | None
-    """How the policy did; None where it was not evaluated."""
+    """Result of the policy; None where it was not evaluated."""
     versions: Mapping[str, str]
     """Versions of the software that wrote it."""
     files: Mapping[str, str]
-    """SHA-256 of the files beside, by name; those of the replay's pieces by their path in the run's folder."""
+    """SHA-256 of the files beside, by name, and of the replay's pieces, by their path in the run's folder."""
 
     def policy(self) -> dict[str, Any]:
         """Return the weights by name, as tensors on the CPU.
@@ -91,7 +98,7 @@ class Checkpoint:
         Raises:
             CorruptCheckpoint: The file is not what was written.
         """
-        return from_bytes(self._bytes(POLICY), str(self.path / POLICY))
+        return self._read(POLICY)
 
     def learner(self) -> dict[str, Any]:
         """Return the state of the training besides the weights.
@@ -99,7 +106,7 @@ class Checkpoint:
         Raises:
             CorruptCheckpoint: The file is not what was written, or was removed since.
         """
-        return from_bytes(self._bytes(LEARNER), str(self.path / LEARNER))
+        return self._read(LEARNER)
 
     def replay(self) -> list[dict[str, Any]]:
         """Return the pieces of the replay, oldest first.
@@ -107,26 +114,61 @@ class Checkpoint:
         Raises:
             CorruptCheckpoint: One is not what was written.
         """
-        names = sorted(name for name in self.files if name.startswith(f"{REPLAY}/"))
-        return [from_bytes(self._bytes(name), str(self._place(name))) for name in names]
+        return [self._read(name) for name in sorted(self.files) if name.startswith(f"{REPLAY}/")]
 
     @property
     def can_be_resumed(self) -> bool:
         """Whether its state of the training is still there."""
         return (self.path / LEARNER).exists()
 
-    def _place(self, name: str) -> Path:
-        return (self.path.parent.parent if name.startswith(f"{REPLAY}/") else self.path) / name
-
-    def _bytes(self, name: str) -> bytes:
-        path = self._place(name)
+    def _read(self, name: str) -> dict[str, Any]:
+        path = (self.path.parent.parent if name.startswith(f"{REPLAY}/") else self.path) / name
         try:
             data = path.read_bytes()
         except OSError as err:
             raise CorruptCheckpoint(f"{path} cannot be read: {err.strerror or err}.") from err
         if hashlib.sha256(data).hexdigest() != self.files.get(name):
             raise CorruptCheckpoint(f"{path} is damaged: its bytes are not what was written.")
-        return data
+        return unpacked(data, path)
+
+
+def packed(values: Mapping[str, Any]) -> bytes:
+    """Return nested dictionaries, lists and tuples of tensors, arrays, numbers and texts as a file of torch."""
+    file = io.BytesIO()
+    package("torch").save(_with_tensors(values), file)
+    return file.getvalue()
+
+
+def unpacked(data: bytes, path: Path) -> dict[str, Any]:
+    """Return the values that `packed` wrote, tensors on the CPU; nothing in the bytes is run.
+
+    Args:
+        data: The bytes.
+        path: The file, for the message.
+
+    Raises:
+        CorruptCheckpoint: They are not such values.
+    """
+    try:
+        return _with_arrays(package("torch").load(io.BytesIO(data), map_location="cpu", weights_only=True))
+    except Exception as err:  # torch raises whatever the damage leads to
+        raise CorruptCheckpoint(f"{path} is damaged: {type(err).__name__}: {str(err).splitlines()[0]}") from err
+
+
+def _with_tensors(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _with_tensors(own) for key, own in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(map(_with_tensors, value))
+    if isinstance(value, np.ndarray):
+        return {_ARRAY: package("torch").from_numpy(np.array(value, order="C"))}
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _with_arrays(value: Any) -> Any:
+    if isinstance(value, dict):
+        return value[_ARRAY].numpy() if _ARRAY in value else {key: _with_arrays(own) for key, own in value.items()}
+    return type(value)(map(_with_arrays, value)) if isinstance(value, list | tuple) else value
 
 
 def write_checkpoint(
@@ -141,7 +183,7 @@ def write_checkpoint(
 
     Args:
         run: The run's folder.
-        about: Its description; of `files`, the earlier pieces of the replay.
+        about: Its description; `files` has the earlier pieces of the replay.
         policy: The weights.
         learner: The rest of the training's state.
         piece: First row, row after the last, and rows of what the replay took in since the last checkpoint.
@@ -158,22 +200,30 @@ def write_checkpoint(
             first, last, rows = piece
             name = f"{REPLAY}/{first:012d}-{last:012d}.pt"
             (run / REPLAY).mkdir(exist_ok=True)
-            files[name] = _write(run / name, to_bytes(rows))
+            files[name] = _write(run / name, rows)
             sync_folder(run / REPLAY)
         if not folder.is_dir():
             folder.mkdir()
             sync_folder(run)
         remove_tree(partial)
         partial.mkdir()
-        files[POLICY] = _write(partial / POLICY, to_bytes(policy))
-        files[LEARNER] = _write(partial / LEARNER, to_bytes(learner))
+        files[POLICY] = _write(partial / POLICY, policy)
+        files[LEARNER] = _write(partial / LEARNER, learner)
         made = replace(about, path=place, files=files)
-        write_file(partial / DESCRIPTION, sealed(_to_json(made)))
+        values = {name: own for name, own in vars(made).items() if name != "path"}
+        records = {name: own.to_json() for name, own in values.items() if isinstance(own, Record)}
+        write_file(partial / DESCRIPTION, sealed({"version": VERSION, **values, **records}))
         sync_folder(partial)
-        remove_tree(place)  # one that was damaged, or is of a run that went on from an earlier one
+        remove_tree(place)  # a damaged one, or one of a run that continued from an earlier one
         partial.rename(place)
         sync_folder(folder)
     return made
+
+
+def _write(path: Path, values: Mapping[str, Any]) -> str:
+    data = packed(values)
+    write_file(path, data)
+    return hashlib.sha256(data).hexdigest()
 
 
 def open_checkpoint(path: str | Path, *, trust: Collection[str] = ()) -> Checkpoint:
@@ -198,14 +248,13 @@ def open_checkpoint(path: str | Path, *, trust: Collection[str] = ()) -> Checkpo
             f"{VERSION}. Versions that wrote it: {values.get('versions')}."
         )
     try:
-        score = values["score"]
         return Checkpoint(
             path=place,
             training=Training.from_json(values["training"], trust=trust),
             steps=int(values["steps"]),
             seconds=float(values["seconds"]),
             layout=FlatLayout.from_json(values["layout"]),
-            score=None if score is None else Score(**score),
+            score=None if values["score"] is None else Score.from_json(values["score"]),
             versions=dict(values["versions"]),
             files={str(name): str(digest) for name, digest in values["files"].items()},
         )
@@ -218,13 +267,31 @@ def open_checkpoint(path: str | Path, *, trust: Collection[str] = ()) -> Checkpo
 def checkpoints_of(run: str | Path) -> list[Path]:
     """Return the folders of a run's checkpoints, oldest first; nothing in them is read."""
     folder = Path(run) / CHECKPOINTS
-    if not folder.is_dir():
-        return []
-    return sorted((path for path in folder.iterdir() if _NAME.fullmatch(path.name)), key=lambda path: int(path.name))
+    found = folder.iterdir() if folder.is_dir() else ()
+    return sorted((path for path in found if _NAME.fullmatch(path.name)), key=lambda path: int(path.name))
+
+
+def whole_checkpoints(run: str | Path, *, trust: Collection[str] = ()) -> list[Checkpoint]:
+    """Return the checkpoints of a run that are not damaged, oldest first.
+
+    Raises:
+        CorruptCheckpoint: There are checkpoints, and all are damaged.
+        InvalidSetup: Another version of this program wrote one.
+    """
+    found: list[Checkpoint] = []
+    damage: CorruptCheckpoint | None = None
+    for folder in checkpoints_of(run):
+        try:
+            found.append(open_checkpoint(folder, trust=trust))
+        except CorruptCheckpoint as err:
+            damage = err
+    if damage is not None and not found:
+        raise damage
+    return found
 
 
 def find_checkpoint(path: str | Path, *, trust: Collection[str] = ()) -> Checkpoint:
-    """Return the checkpoint at a path: of a run's folder its best one, or the newest where none was evaluated.
+    """Return the checkpoint at a path: for a run's folder its best one, or the newest where none was evaluated.
 
     Args:
         path: Folder of the checkpoint or of the run.
@@ -232,43 +299,34 @@ def find_checkpoint(path: str | Path, *, trust: Collection[str] = ()) -> Checkpo
 
     Raises:
         InvalidSetup: There is none, or another version of this program wrote it.
-        CorruptCheckpoint: It is damaged; of a run's folder, every one is.
+        CorruptCheckpoint: It is damaged, or every one in the run's folder is.
     """
     place = Path(path)
     if (place / DESCRIPTION).exists():
         return open_checkpoint(place, trust=trust)
-    folders = checkpoints_of(place)
-    if not folders:
+    found = whole_checkpoints(place, trust=trust)
+    if not found:
         raise InvalidSetup(
             f"There is no checkpoint in {place}. Valid is the folder of a run, as `rcs train --out` makes it, or one "
             f"of its folders {CHECKPOINTS}/<steps>."
         )
-    found: list[Checkpoint] = []
-    damage: list[CorruptCheckpoint] = []
-    for folder in folders:
-        try:
-            found.append(open_checkpoint(folder, trust=trust))
-        except CorruptCheckpoint as err:
-            damage.append(err)
-    if not found:
-        raise damage[-1]
     return best_of(found) or found[-1]
 
 
-def best_of(found: list[Checkpoint]) -> Checkpoint | None:
-    """Return the checkpoint that did best, of equal ones the newest; None if none was evaluated."""
+def best_of(found: Sequence[Checkpoint]) -> Checkpoint | None:
+    """Return the checkpoint with the best score, of equal ones the newest; None if none was evaluated."""
     scored = [(one.score.order, one.steps, one) for one in found if one.score is not None]
     return max(scored, key=lambda entry: entry[:2])[2] if scored else None
 
 
 def remove_old(run: Path, *, keep_after: int | None = None) -> None:
-    """Remove what no one needs any more: partial checkpoints, old states of the training, and pieces of the replay.
+    """Remove what is needed no more: partial checkpoints, old states of the training, and pieces of the replay.
 
     Evaluated checkpoints keep their weights; others are removed when they are no longer among the newest.
 
     Args:
         run: The run's folder.
-        keep_after: Also remove all checkpoints after this step: training goes on from there.
+        keep_after: Also remove all checkpoints after this step: training continues from there.
 
     Raises:
         DatasetError: The disk fails.
@@ -306,22 +364,3 @@ def _drop(place: Path) -> None:
     remove_tree(trash)
     place.rename(trash)
     remove_tree(trash)
-
-
-def _write(path: Path, data: bytes) -> str:
-    write_file(path, data)
-    return hashlib.sha256(data).hexdigest()
-
-
-def _to_json(checkpoint: Checkpoint) -> dict[str, Any]:
-    score = checkpoint.score
-    return {
-        "version": VERSION,
-        "training": checkpoint.training.to_json(),
-        "steps": checkpoint.steps,
-        "seconds": checkpoint.seconds,
-        "layout": checkpoint.layout.to_json(),
-        "score": None if score is None else vars(score),
-        "versions": dict(checkpoint.versions),
-        "files": dict(checkpoint.files),
-    }

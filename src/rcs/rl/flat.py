@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from rcs.envs.spaces import PIXELS
+from rcs.envs.env import Env
+from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidAction, InvalidSetup
-from rcs.rl.entries import layout_of
-from rcs.rl.layout import FlatLayout, Image
-from rcs.rl.poses import PosePlan
-from rcs.rl.scales import Workplace, workplace_of
-from rcs.rl.selection import Selection
-from rcs.rl.tables import Table, at, put
+from rcs.rl.layout import Entry, FlatLayout, Image, Kind, Selection, layout_of, layout_of_spaces
+from rcs.spatial import compose, normalize, relative, tquat_to_matrix
 
 STATE = "state"
 """Key of the vector in a flat observation that has images too."""
@@ -29,60 +27,49 @@ class Flat:
     (copies, n), a matrix. The maps remember nothing, and the same numbers give the same bits in a batch of any size.
 
     Actions: -1 and 1 are the bounds of every number; vectors are clipped to them. Observations: each number is
-    `(value - offset) / scale`, about -1 to 1 in what usually occurs, and never clipped, so that the way back is exact;
-    `observation_space` has the true bounds. `print(flat.layout)` says what each number is, and why.
-
-    Rotations are told by two columns of their matrix, which has no jumps; back comes the quaternion with w >= 0.
+    `(value - offset) / scale`, about -1 to 1 in what usually occurs, and never clipped. `print(flat.layout)` lists
+    them.
     """
 
-    def __init__(self, of: Any, selection: Selection | None = None) -> None:
+    def __init__(self, of: Env | VecEnv | FlatLayout, selection: Selection | None = None) -> None:
         """Choose what the vectors have.
 
         Args:
-            of: An `Env` or `VecEnv`, or the layout of another Flat, which is all that the maps need.
-            selection: What goes into the vectors of an environment; None for all that there is.
+            of: An environment, also under Gymnasium's wrappers, or the layout of another Flat.
+            selection: What goes into the vectors of an environment; None for everything.
 
         Raises:
             InvalidSetup: A space is not one of numbers, a key or a camera is unknown, or nothing is left.
         """
-        if not isinstance(of, FlatLayout):
-            workplace = workplace_of(of)
-            action = getattr(of, "single_action_space", of.action_space)
-            observation = getattr(of, "single_observation_space", of.observation_space)
-            of = layout_of(action, observation, workplace, selection or Selection())
-        elif selection is not None:
+        if isinstance(of, FlatLayout) and selection is not None:
             raise InvalidSetup("A layout was given and also a selection; the layout says what the vectors have.")
-        self.layout: FlatLayout = of
+        self.layout = of if isinstance(of, FlatLayout) else layout_of(of, selection or Selection())
         """What the numbers are."""
         layout = self.layout
-        self._action = Table(layout.action)
-        self._state = Table(layout.state)
-        self._poses = PosePlan(layout.state, {name: np.array(base) for name, base in layout.bases.items()})
+        self._action, self._state = _Scaling(layout.action), _Scaling(layout.state)
+        self._poses = _PoseFeatures(layout.state, layout.bases)
         self.action_space = spaces.Box(-1.0, 1.0, (layout.action_size,), np.float32)
         """The space of vectors of one action."""
-        self.state_space = spaces.Box(self._state.low, self._state.high, dtype=np.float32)
-        """The space of vectors of one observation."""
-        self.observation_space: spaces.Box | spaces.Dict = self.state_space
+        state_space = spaces.Box(-np.inf, np.inf, (layout.state_size,), np.float32)
+        self.observation_space: spaces.Box | spaces.Dict = state_space
         """The space of one flat observation: the vector, or, with cameras, a dictionary with the vector as `state` and
         a frame (channels, height, width) per camera."""
         if layout.images:
             frames: dict[str, spaces.Space[Any]] = {
                 image.name: spaces.Box(0, 255, image.shape, np.uint8) for image in layout.images
             }
-            self.observation_space = spaces.Dict(({STATE: self.state_space} if layout.state else {}) | frames)
+            self.observation_space = spaces.Dict(({STATE: state_space} if layout.state else {}) | frames)
 
     @classmethod
     def from_spaces(cls, action_space: spaces.Space[Any], observation_space: spaces.Space[Any]) -> Flat:
-        """Make the maps from two spaces of one copy; scales are then general ones, for the robots are not known."""
-        return cls(layout_of(action_space, observation_space, Workplace(), Selection()))
-
-    # --- Actions ------------------------------------------------------------------------------------------------------
+        """Make the maps from two spaces of one copy; scales are then general ones, for the robots are unknown."""
+        return cls(layout_of_spaces(action_space, observation_space))
 
     def action(self, vector: ArrayLike) -> dict[str, Any]:
         """Return the action of a vector.
 
         Args:
-            vector: Shape (..., n); what is beyond -1 and 1 counts as -1 and 1.
+            vector: Shape (..., n); numbers beyond -1 and 1 count as -1 and 1.
 
         Raises:
             InvalidAction: A number is not finite, or the shape is wrong.
@@ -94,7 +81,7 @@ class Flat:
         if not np.isfinite(given).all():
             index = tuple(map(int, np.argwhere(~np.isfinite(given))[0]))
             raise InvalidAction(f"The action's number {list(index)} is {given[index]}; valid is -1 to 1.")
-        return self._action.nested(np.minimum(np.maximum(given, -1.0), 1.0))
+        return self._action.values(np.minimum(np.maximum(given, -1.0), 1.0))
 
     def action_vector(self, action: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the vector of an action, (..., n): the inverse of `action`.
@@ -102,14 +89,12 @@ class Flat:
         Raises:
             InvalidSetup: A key is missing, or an array has a wrong shape.
         """
-        return self._action.scale_in_place(self._action.gathered(action)).astype(np.float32)
-
-    # --- Observations -------------------------------------------------------------------------------------------------
+        return self._action.scaled(self._action.gathered(action)).astype(np.float32)
 
     def observation(self, observation: Mapping[str, Any]) -> Any:
         """Return the flat observation: a vector (..., n), or, with cameras, a dictionary with it and the frames.
 
-        All arrays are new, but for frames that have channels first already.
+        All arrays are new, except frames that have their channels first already.
 
         Raises:
             InvalidSetup: A key is missing, or an array has a wrong shape.
@@ -126,32 +111,14 @@ class Flat:
             InvalidSetup: A key is missing, or an array has a wrong shape.
         """
         vector = self._state.gathered(observation)
-        if paths := self._poses.paths:
-            poses = np.empty((*vector.shape[:-1], len(paths), 7))
-            for i, path in enumerate(paths):
-                poses[..., i, :] = at(observation, path)
+        if names := self._poses.poses:
+            poses = np.empty((*vector.shape[:-1], len(names), 7))
+            for i, name in enumerate(names):
+                poses[..., i, :] = _at(observation, name.split("/"))
             self._poses.write(poses, vector)
-        self._state.scale_in_place(vector)
+        self._state.scaled(vector)
         self._poses.bound(vector)
         return vector.astype(np.float32)
-
-    def observation_dict(self, flat: Any) -> dict[str, Any]:
-        """Return the dictionary of a flat observation: the inverse of `observation`, with the keys that it has.
-
-        Frames are views with channels last; depth has the steps of its levels.
-
-        Raises:
-            InvalidSetup: The vector has a wrong shape.
-        """
-        vector = flat if not self.layout.images else flat.get(STATE, np.zeros(0))
-        given = np.asarray(vector, np.float64)
-        size = self.layout.state_size
-        if given.ndim == 0 or given.shape[-1] != size:
-            raise InvalidSetup(f"The vector has shape {given.shape}; valid is (..., {size}).")
-        nested = self._state.nested(given)
-        for image in self.layout.images:
-            put(nested, image.path, _frame(np.asarray(flat[image.name]), image))
-        return nested
 
     def __repr__(self) -> str:
         """Return the sizes."""
@@ -159,16 +126,192 @@ class Flat:
         return f"Flat({self.layout.state_size} numbers{images} -> {self.layout.action_size} numbers)"
 
 
+class FlatEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """An environment whose actions and observations are vectors.
+
+    Example:
+        >>> env = FlatEnv(rcs.make("PickCuboid", observe=("privileged",)))
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], selection: Selection | None = None) -> None:
+        """Wrap an environment.
+
+        Args:
+            env: Made by `rcs.make`, also under Gymnasium's wrappers.
+            selection: What goes into the vectors; None for everything.
+
+        Raises:
+            InvalidSetup: See `Flat`.
+        """
+        super().__init__(env)
+        self.flat = Flat(env, selection)  # pyright: ignore[reportArgumentType]  a wrapped one is an Env inside
+        """The maps."""
+        self.action_space, self.observation_space = self.flat.action_space, self.flat.observation_space
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode and return its first flat observation and the info."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self.flat.observation(observation), info
+
+    def step(self, action: ArrayLike) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Make a step with a vector as the action; see `Flat.action`."""
+        observation, reward, terminated, truncated, info = self.env.step(self.flat.action(action))
+        return self.flat.observation(observation), reward, terminated, truncated, info
+
+
+class _PoseFeatures:
+    """Computes all entries that follow from poses at once."""
+
+    def __init__(self, entries: Sequence[Entry], bases: Mapping[str, Sequence[float]]) -> None:
+        """Prepare to write them.
+
+        Args:
+            entries: All entries of the observation.
+            bases: For several robots, the poses of their bases in the scene by name, (7,) [m], xyzw.
+        """
+        ends = np.cumsum([0, *(entry.size for entry in entries)])
+        place = {(one.kind, one.name): ends[i : i + 2] for i, one in enumerate(entries)}
+        derived = [entry for entry in entries if entry.kind != "value"]
+        self.poses = list(dict.fromkeys(key for entry in derived for key in (entry.key, entry.to) if key))
+        """Keys of the poses that are read."""
+        number = {key: i for i, key in enumerate(self.poses)}
+        # For several robots, each TCP is in the frame of its own base, and objects are in the scene.
+        robots = {key: key.partition("/")[0] for key in self.poses}
+        self._bases = {number[key]: np.array(bases[robot]) for key, robot in robots.items() if robot in bases}
+        pairs = list(dict.fromkeys((number[one.key], number[one.to]) for one in derived if one.to))
+        self._first, self._second = [first for first, _ in pairs], [second for _, second in pairs]
+        of_pair = {pair: i for i, pair in enumerate(pairs)}
+
+        def of(*kinds: Kind) -> list[Entry]:
+            return [entry for kind in kinds for entry in derived if entry.kind == kind]
+
+        def chosen(entries: Sequence[Entry]) -> NDArray[np.intp]:
+            return np.array([of_pair[number[one.key], number[one.to]] for one in entries], np.intp)
+
+        def places(entries: Sequence[Entry]) -> Any:
+            """Return the places in the vector, as a slice if they follow each other; None if there are none."""
+            if not entries:
+                return None
+            found = np.concatenate([np.arange(*place[entry.kind, entry.name]) for entry in entries])
+            first, end = int(found[0]), int(found[-1]) + 1
+            return slice(first, end) if np.array_equal(found, np.arange(first, end)) else found
+
+        turns, ways, relative_turns, halves = of("turn"), of("offset", "near"), of("relative_turn"), of("half_turn")
+        self._turns = np.array([number[one.key] for one in turns], np.intp)
+        self._ways, self._way_places = chosen(ways), places(ways)
+        self._turned = chosen([*relative_turns, *halves])
+        self._count = len(turns) + len(relative_turns)
+        self._columns, self._halves = places([*turns, *relative_turns]), places(halves)
+        self._near = places(of("near"))
+
+    def write(self, poses: NDArray[np.float64], raw: NDArray[np.float64]) -> None:
+        """Write the features into a vector (..., n), in their units.
+
+        Args:
+            poses: The poses of the keys in `poses`, (..., poses, 7) [m], xyzw.
+            raw: The vector.
+        """
+        leading = raw.shape[:-1]
+        poses = normalize(poses)
+        turns = poses.take(self._turns, axis=-2)
+        if self._first:
+            for i, base in self._bases.items():
+                poses[..., i, :] = compose(base, poses[..., i, :])
+            first, second = poses.take(self._first, axis=-2), poses.take(self._second, axis=-2)
+            if self._way_places is not None:
+                ways = (second - first)[..., :3].take(self._ways, axis=-2)
+                raw[..., self._way_places] = ways.reshape(*leading, -1)
+            if len(self._turned):
+                turns = np.concatenate([turns, relative(first, second).take(self._turned, axis=-2)], -2)
+        columns = tquat_to_matrix(turns)[..., :3, :2].swapaxes(-1, -2)
+        if self._columns is not None:
+            raw[..., self._columns] = columns[..., : self._count, :, :].reshape(*leading, -1)
+        if self._halves is not None:
+            # The second pose's x axis in the x-y plane of the first, at twice its angle.
+            x, y = columns[..., self._count :, 0, 0], columns[..., self._count :, 0, 1]
+            raw[..., self._halves] = np.stack([x * x - y * y, 2.0 * x * y], -1).reshape(*leading, -1)
+
+    def bound(self, vector: NDArray[np.float64]) -> None:
+        """Bring the `near` numbers of a scaled vector (..., n) between -1 and 1."""
+        if self._near is not None:
+            far = vector[..., self._near]
+            vector[..., self._near] = far / np.sqrt(1.0 + far * far)
+
+
+class _Scaling:
+    """Gathers the numbers of all value entries in one vector, scales them, and scatters them again."""
+
+    def __init__(self, entries: Sequence[Entry]) -> None:
+        self._offset, self._scale = (
+            np.array([one for entry in entries for one in getattr(entry, name)], np.float64)
+            for name in ("offset", "scale")
+        )
+        ends = np.cumsum([entry.size for entry in entries]).tolist()
+        self._values = [
+            (entry, entry.key.split("/"), slice(end - entry.size, end))
+            for entry, end in zip(entries, ends, strict=True)
+            if entry.kind == "value"
+        ]
+
+    def gathered(self, values: Mapping[str, Any]) -> NDArray[np.float64]:
+        """Return the numbers of keys in their units, (..., n); 0 for features of poses.
+
+        Raises:
+            InvalidSetup: A key is missing, or an array has a wrong shape.
+        """
+        raw: NDArray[np.float64] | None = None
+        for entry, path, place in self._values:
+            array = _at(values, path)
+            leading = array.shape[: array.ndim - len(entry.shape)]
+            if array.shape[len(leading) :] != entry.shape:
+                valid = ", ".join(("...", *map(str, entry.shape)))
+                raise InvalidSetup(f"{entry.key!r} has shape {array.shape}; valid is ({valid}).")
+            if raw is None:
+                raw = np.zeros((*leading, len(self._scale)))
+            elif raw.shape[:-1] != leading:
+                raise InvalidSetup(f"{entry.key!r} has shape {array.shape}, unlike the keys before it.")
+            raw[..., place] = array.reshape(*leading, -1)[..., : entry.size]
+        return np.zeros(len(self._scale)) if raw is None else raw
+
+    def scaled(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Turn numbers in the units of their keys, (..., n), into those of the vector, in place."""
+        raw -= self._offset
+        raw /= self._scale
+        return raw
+
+    def values(self, vector: NDArray[np.float64]) -> dict[str, Any]:
+        """Return the dictionary of a vector, (..., n), of values alone."""
+        numbers = vector * self._scale + self._offset
+        nested: dict[str, Any] = {}
+        for entry, path, place in self._values:
+            inner = nested
+            for key in path[:-1]:
+                inner = inner.setdefault(key, {})
+            inner[path[-1]] = numbers[..., place].reshape(*vector.shape[:-1], *entry.shape).astype(entry.dtype)
+        return nested
+
+
+def _at(values: Mapping[str, Any], path: Sequence[str]) -> NDArray[Any]:
+    """Return the array at a path of keys.
+
+    Raises:
+        InvalidSetup: There is none.
+    """
+    found: Any = values
+    try:
+        for key in path:
+            found = found[key]
+    except (KeyError, TypeError, IndexError) as err:
+        given = ", ".join(map(str, values)) if isinstance(values, Mapping) else type(values).__name__
+        raise InvalidSetup(f"{'/'.join(path)!r} is missing; given: {given}.") from err
+    return np.asarray(found)
+
+
 def _picture(observation: Mapping[str, Any], image: Image) -> NDArray[np.uint8]:
-    frame = at(observation, image.path)
-    if image.is_depth:
+    frame = _at(observation, image.key.split("/"))
+    if image.level_mm:
         return np.minimum(frame // np.uint16(image.level_mm), 255).astype(np.uint8)[..., None, :, :]
     if frame.shape[-3:] == image.shape:
         return frame
     return np.ascontiguousarray(np.moveaxis(frame, -1, -3))
-
-
-def _frame(picture: NDArray[np.uint8], image: Image) -> NDArray[Any]:
-    if image.is_depth:
-        return picture[..., 0, :, :].astype(np.uint16) * np.uint16(image.level_mm)
-    return picture if image.path[-1] == PIXELS else np.moveaxis(picture, -3, -1)

@@ -1,104 +1,132 @@
-"""What the numbers of a flat vector are: of every entry its key, place, offset, scale, bounds, unit and source."""
+"""The layout of flat vectors: which keys and which features of poses their numbers are, and how they are scaled.
+
+Every number is `(value - offset) / scale`. Bounds of velocities, forces and poses are far wider than what occurs:
+divided by them, all would be nearly 0. They are scaled by what occurs instead, and never clipped.
+"""
 
 from __future__ import annotations
 
-import dataclasses
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Literal, get_args
 
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+from rcs_data.record import Natural, Positive, Record, Whole
+
+from rcs.envs import spaces as keys
+from rcs.envs.env import Env
+from rcs.envs.start import base_in_scene
+from rcs.envs.task import Area
+from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
+from rcs.setups.make import resolve
+from rcs.sim.scene import RobotPlacement
+from rcs.spatial import compose, inverse
 
-VERSION = 1
-"""Raised when a layout's numbers come to mean something else."""
+SPEED = 2.5
+"""Joint speed that is 1 where the arm is unknown [rad/s]: the largest of relative actions."""
+TCP_SPEED, TURN_SPEED = 0.5, 1.8
+"""Speeds of objects that are 1 where the arm is unknown [m/s, rad/s]: those of `ArmDescription`."""
+FORCE, MOMENT = 30.0, 5.0
+"""Force and moment on the tool that are 1 [N, Nm]. Our choice: the weight of a payload of 3 kg, and a sixth of that."""
+NEAR = 0.1
+"""Distance between two poses that is 1 [m]. Our choice: about the width of an opened gripper."""
+CLOSE = 0.03
+"""Distance that is 0.7 in the feature `near` [m]. Our choice: about half the width of a cuboid."""
+CENTRE, AROUND = (0.5, 0.0, 0.0), 0.5
+"""Position that is 0, and distance from it that is 1, where the arm is unknown [m]."""
+DEPTH_LEVEL_MM = 8
+"""Depth of one level of a depth image [mm]: 255 levels reach 2 m, which is beyond a table."""
 
-LARGEST = float(2.0**127)
-"""Bound of a number in a vector, where its key has none: what float32 holds."""
+Feature = Literal["offset", "near", "relative_turn", "half_turn"]
+"""Features of a pair of poses, which follow from the poses but are hard to learn: from each TCP, and from its target
+where that is observed, to each object, and from each object to the next.
 
-Path = tuple[str, ...]
-"""Keys from the outermost to the innermost, such as ("privileged", "cuboid", "tquat")."""
-
-Kind = Literal["value", "turn", "offset", "near", "relative_turn", "half_turn"]
-"""What an entry has of its key.
-
-- `value`: numbers of the key, (number - offset) / scale.
-- `turn`: the rotation of a pose, as the first two columns of its matrix, which have no jumps (Zhou et al. 2019,
-  arXiv:1812.07035).
-- `offset`: the way d from one pose to another, in the axes of the base (of several robots: the scene): d / scale.
-- `near`: the same, for the last centimetres, along each axis: d / sqrt(d² + scale²), within -1 and 1.
-- `relative_turn`: the rotation of the other pose in the frame of the first, as columns.
-- `half_turn`: how the other pose's x axis is turned about the z axis of the first, as cosine and sine of twice the
+- `offset`: the vector d from one position to the other, in the axes of the base (of several robots: the scene).
+- `near`: the same with more resolution in the last centimetres, along each axis: d / sqrt(d² + scale²), within -1 and
+  1.
+- `relative_turn`: the rotation of the second pose in the frame of the first, as the first two columns of its matrix.
+- `half_turn`: how the second pose's x axis is turned about the z axis of the first, as cosine and sine of twice the
   angle: a gripper fits a box that is turned by half a turn as well.
-
-All but the first two follow from other numbers; the way back does without them.
 """
+Kind = Literal["value", "turn", "offset", "near", "relative_turn", "half_turn"]
+"""Kind of an entry: `value` for numbers of a key, `turn` for the rotation of a pose as the first two columns of its
+matrix, which have no jumps (Zhou et al. 2019, arXiv:1812.07035), or a feature of a pair."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Entry:
+class Selection(Record):
+    """Which observations a learner uses."""
+
+    keys: tuple[str, ...] | None = None
+    """Observed keys, such as `joints`, `privileged/cuboid` or, of several robots, `left`; a key of a dictionary selects
+    all keys inside. None for all but `xyzrpy`, which says the same as `tquat`."""
+    features: tuple[Feature, ...] = get_args(Feature)
+    """Features of pairs of poses beside the poses."""
+    cameras: tuple[str, ...] | None = None
+    """Names of the cameras whose frames are observed; None for all."""
+
+
+class Entry(Record):
     """Consecutive numbers of a vector."""
 
-    path: Path
-    """The key; of pairs, that of the pose from which is measured."""
+    key: str
+    """Key, with slashes between levels, such as `privileged/cuboid/tquat`; for a pair, that of the first pose."""
     kind: Kind = "value"
-    """What the numbers are."""
-    to: Path = ()
-    """Of pairs, the key of the pose to which is measured."""
-    place: tuple[int, int]
-    """First number in the vector, and the one after the last."""
-    picked: tuple[int, int] = (0, 0)
-    """Of a `value`, which numbers of the key, the first and the one after the last; rows of arrays one after the other.
-    """
-    shape: tuple[int, ...]
-    """Shape of the key."""
-    dtype: str
-    """Type of the key's numbers, such as `float64`."""
+    """Kind of the numbers."""
+    to: str = ""
+    """For a pair, the key of the second pose."""
+    shape: tuple[Natural, ...] = ()
+    """For a value, the shape of the key's array, of which the entry has the first numbers: all, or a pose's
+    position."""
+    dtype: str = "float64"
+    """For a value, the type of the key's array."""
     offset: tuple[float, ...]
-    """What is 0 in the vector, in the key's unit."""
-    scale: tuple[float, ...]
-    """What is 1 more in the vector, in the key's unit."""
-    low: tuple[float, ...]
-    """Lower bounds in the vector."""
-    high: tuple[float, ...]
-    """Upper bounds in the vector."""
-    rest: tuple[float, ...] = ()
-    """Of an action of which the vector has not all numbers, the value of the whole key, for the others."""
+    """Values that become 0, in the key's unit."""
+    scale: tuple[Positive, ...]
+    """Changes of the values that become 1, in the key's unit."""
     unit: str = ""
     """Unit of offset and scale."""
-    source: str = ""
-    """Where offset and scale come from."""
+
+    def __post_init__(self) -> None:
+        """Check that there are as many offsets as scales.
+
+        Raises:
+            InvalidSetup: There are not.
+        """
+        super().__post_init__()
+        if len(self.offset) != len(self.scale):
+            raise InvalidSetup(f"The entry {self.name!r} has {len(self.offset)} offsets and {len(self.scale)} scales.")
+
+    @property
+    def size(self) -> int:
+        """Count of numbers."""
+        return len(self.scale)
 
     @property
     def name(self) -> str:
-        """The key with slashes, such as `privileged/cuboid/tquat`."""
-        return "/".join(self.path) + (f" to {'/'.join(self.to)}" if self.to else "")
-
-    @property
-    def slice(self) -> slice:
-        """Its place in the vector."""
-        return slice(*self.place)
+        """The key, and for a pair both keys."""
+        return f"{self.key} to {self.to}" if self.to else self.key
 
 
-@dataclass(frozen=True, kw_only=True)
-class Image:
+class Image(Record):
     """A camera's frame: uint8, channels before rows before columns."""
 
-    path: Path
-    """The key."""
+    key: str
+    """Its key, with slashes between levels."""
     name: str
     """Its name in the flat observation."""
-    shape: tuple[int, int, int]
+    shape: tuple[Whole, Whole, Whole]
     """Channels, height and width."""
-    is_depth: bool = False
-    """Whether it is depth, of which one level is `level_mm`; 0 has no reading and 255 is that far or farther."""
-    level_mm: int = 1
-    """Depth of one level [mm]."""
+    level_mm: Natural = 0
+    """For depth, the depth of one level [mm]; level 0 has no reading and 255 is that far or farther. 0 for other
+    frames."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FlatLayout:
-    """How dictionaries and vectors correspond. `to_json` and `from_json` are inverse to each other, exactly."""
+class FlatLayout(Record):
+    """What every number of a flat observation and action is: all that the maps need, as checkpoints keep it."""
 
     action: tuple[Entry, ...]
     """Entries of the action's vector."""
@@ -107,94 +135,261 @@ class FlatLayout:
     images: tuple[Image, ...] = ()
     """Cameras' frames."""
     bases: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
-    """Of several robots, the poses of their bases in the scene by name, (7,) [m], xyzw."""
+    """For several robots, the poses of their bases in the scene by name, (7,) [m], xyzw."""
 
     @property
     def action_size(self) -> int:
         """Numbers of an action."""
-        return self.action[-1].place[1] if self.action else 0
+        return sum(entry.size for entry in self.action)
 
     @property
     def state_size(self) -> int:
         """Numbers of an observation."""
-        return self.state[-1].place[1] if self.state else 0
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the layout as JSON values."""
-        return {"version": VERSION, **json.loads(json.dumps(dataclasses.asdict(self), allow_nan=False))}
-
-    @staticmethod
-    def from_json(values: Any) -> FlatLayout:
-        """Return the layout that `to_json` wrote.
-
-        Raises:
-            InvalidSetup: The values are not those of a layout, or of another version.
-        """
-        if not isinstance(values, Mapping) or values.get("version") != VERSION:
-            found = values.get("version") if isinstance(values, Mapping) else type(values).__name__
-            raise InvalidSetup(f"The layout has version {found!r}; this program reads version {VERSION}.")
-        try:
-            layout = FlatLayout(
-                action=tuple(_entry(one) for one in values["action"]),
-                state=tuple(_entry(one) for one in values["state"]),
-                images=tuple(Image(**_tuples(one)) for one in values["images"]),
-                bases={str(name): tuple(map(float, base)) for name, base in values["bases"].items()},
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as err:
-            raise InvalidSetup(f"The layout is damaged: {type(err).__name__}: {err}.") from err
-        for image in layout.images:
-            sizes = (*image.shape, image.level_mm)
-            if len(sizes) != 4 or not all(isinstance(one, int) and one > 0 for one in sizes):
-                raise InvalidSetup(f"The layout is damaged: its image {image.name!r} has the shape {image.shape}.")
-        for entries in (layout.action, layout.state):
-            end = 0
-            for entry in entries:
-                end = _check(entry, end)
-        return layout
+        return sum(entry.size for entry in self.state)
 
     def __str__(self) -> str:
         """Return a line per entry."""
-        lines = ["observation"]
-        lines += [_line(entry) for entry in self.state]
-        lines += [f"  {'':8}{image.name:66}{'x'.join(map(str, image.shape)):8} uint8" for image in self.images]
-        return "\n".join([*lines, "action", *(_line(entry) for entry in self.action)])
+        images = [f"  {'':8}{image.name:66}{'x'.join(map(str, image.shape))} uint8" for image in self.images]
+        return "\n".join(["observation", *_lines(self.state), *images, "action", *_lines(self.action)])
 
 
-def _line(entry: Entry) -> str:
-    first, end = entry.place
-    offset, scale = (_range(table) for table in (entry.offset, entry.scale))
-    what = "" if entry.kind == "value" else f" ({entry.kind.replace('_', ' ')})"
-    numbers = f"{first}" if end == first + 1 else f"{first}-{end - 1}"
-    formula = f"(value - {offset}) / {scale} {entry.unit}".rstrip()
-    return f"  {numbers:8}{entry.name + what:66}{formula}; {entry.source}"
+def _lines(entries: Iterable[Entry]) -> Iterator[str]:
+    first = 0
+    for entry in entries:
+        end = first + entry.size
+        offset, scale = (
+            f"{min(numbers):.3g}" if min(numbers) == max(numbers) else f"[{min(numbers):.3g} … {max(numbers):.3g}]"
+            for numbers in (entry.offset, entry.scale)
+        )
+        kind = "" if entry.kind == "value" else f" ({entry.kind.replace('_', ' ')})"
+        numbers = f"{first}" if entry.size == 1 else f"{first}-{end - 1}"
+        yield f"  {numbers:8}{entry.name + kind:66}(value - {offset}) / {scale} {entry.unit}".rstrip()
+        first = end
 
 
-def _range(numbers: Sequence[float]) -> str:
-    low, high = min(numbers), max(numbers)
-    return f"{low:.3g}" if low == high else f"[{low:.3g} … {high:.3g}]"
+def layout_of(env: Env | VecEnv, selection: Selection) -> FlatLayout:
+    """Return the layout of an environment's vectors.
+
+    Args:
+        env: The environment, also under Gymnasium's wrappers.
+        selection: What goes into the vectors.
+
+    Raises:
+        InvalidSetup: It is no environment of rcs, a space is not one of numbers, a key or a camera is unknown, or
+            nothing is left.
+    """
+    inner: Any = getattr(env, "unwrapped", env)
+    if not isinstance(inner, Env | VecEnv):
+        raise InvalidSetup(f"{env!r} is no environment of rcs; make the maps with Flat.from_spaces.")
+    area = None
+    if isinstance(inner, VecEnv) or inner.is_simulated:
+        area = inner.scenario.task.area
+    elif inner.has_setup:
+        area = resolve(inner.setup).task.area
+    action = getattr(env, "single_action_space", env.action_space)
+    observation = getattr(env, "single_observation_space", env.observation_space)
+    return layout_of_spaces(action, observation, robots=inner.robots, area=area, selection=selection)
 
 
-def _entry(values: Any) -> Entry:
-    return Entry(**_tuples(values))
+def layout_of_spaces(
+    action_space: spaces.Space[Any],
+    observation_space: spaces.Space[Any],
+    *,
+    robots: Mapping[str, RobotPlacement] | None = None,
+    area: Area | None = None,
+    selection: Selection | None = None,
+) -> FlatLayout:
+    """Return the layout of vectors of two spaces.
 
+    Args:
+        action_space: The space of actions of one copy.
+        observation_space: The space of observations of one copy.
+        robots: Robots by name; None if unknown: scales are general ones then.
+        area: The area of the task; None if unknown.
+        selection: What goes into the vectors; None for everything.
 
-def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
-            for key, value in values.items()}  # fmt: skip
-
-
-def _check(entry: Entry, first: int) -> int:
-    """Check an entry that a file gave, and return where the next one starts."""
-    size = entry.place[1] - entry.place[0]
-    tables = (entry.offset, entry.scale, entry.low, entry.high)
-    is_valid = (
-        entry.place[0] == first
-        and size > 0
-        and all(len(table) == size and all(isinstance(one, float) for one in table) for table in tables)
-        and all(one > 0 for one in entry.scale)
-        and entry.kind in get_args(Kind)
-        and (entry.kind != "value" or entry.picked[1] - entry.picked[0] == size)
+    Raises:
+        InvalidSetup: A space is not one of numbers, a key or a camera is unknown, or nothing is left.
+    """
+    selection, robots = selection or Selection(), robots or {}
+    actions, found = _boxes(action_space, "action"), _boxes(observation_space, "observation")
+    frames = {key: box for key, box in found.items() if key.partition("/")[0] == keys.FRAMES}
+    state = _selected({key: box for key, box in found.items() if key not in frames}, selection.keys)
+    if unbounded := [key for key, box in actions.items() if not box.is_bounded()]:
+        raise InvalidSetup(f"The action {unbounded[0]!r} has no finite bounds to be mapped to -1 and 1.")
+    layout = FlatLayout(
+        action=tuple(_value(key, box, *bounds_of(box)) for key, box in actions.items()),
+        state=tuple(_state_entries(state, Scales(robots, area), selection.features)),
+        images=_images(frames, selection.cameras),
+        bases={} if len(robots) < 2 else {name: _base(robot) for name, robot in robots.items()},
     )
-    if not is_valid:
-        raise InvalidSetup(f"The layout is damaged: its entry {entry.name!r} does not fit its place {entry.place}.")
-    return entry.place[1]
+    if not layout.action:
+        raise InvalidSetup("The environment takes no action that could be a vector.")
+    if not layout.state and not layout.images:
+        raise InvalidSetup(f"Nothing is left to observe; keys with numbers: {_names(found)}.")
+    return layout
+
+
+def _base(robot: RobotPlacement) -> tuple[float, ...]:
+    return (*map(float, (*robot.base_in_scene.translation, *robot.base_in_scene.quaternion)),)
+
+
+def _boxes(space: spaces.Space[Any], what: str, prefix: str = "") -> dict[str, spaces.Box]:
+    """Return the boxes in nested dictionaries, with slashes between levels."""
+    if isinstance(space, spaces.Dict):
+        inner = [_boxes(own, what, f"{prefix}/{key}" if prefix else str(key)) for key, own in space.spaces.items()]
+        return {key: box for one in inner for key, box in one.items()}
+    if not isinstance(space, spaces.Box):
+        raise InvalidSetup(f"The {what} {prefix or what!r} has the space {space}; a vector takes Box spaces alone.")
+    return {prefix: space}
+
+
+def _selected(found: Mapping[str, spaces.Box], wanted: Sequence[str] | None) -> dict[str, spaces.Box]:
+    if wanted is None:
+        return {key: box for key, box in found.items() if not _is_redundant(key, found)}
+    chosen: dict[str, spaces.Box] = {}
+    for name in wanted:
+        inside = {key: box for key, box in found.items() if key == name or key.startswith(f"{name}/")}
+        if not inside:
+            raise InvalidSetup(f"There is no key {name!r} of numbers in the observation; valid: {_names(found)}.")
+        chosen |= {key: box for key, box in inside.items() if key == name or not _is_redundant(key, inside)}
+    return chosen
+
+
+def _is_redundant(key: str, found: Iterable[str]) -> bool:
+    """Return whether a key is the pose in roll, pitch and yaw, beside the same with a quaternion."""
+    return _last(key) == keys.XYZRPY and key.removesuffix(keys.XYZRPY) + keys.TQUAT in found
+
+
+def _names(found: Iterable[str]) -> str:
+    return ", ".join(key for key in found if key.partition("/")[0] != keys.FRAMES) or "none"
+
+
+def _last(key: str) -> str:
+    return key.rpartition("/")[2]
+
+
+def _images(frames: Mapping[str, spaces.Box], cameras: Sequence[str] | None) -> tuple[Image, ...]:
+    known = list(dict.fromkeys(key.split("/")[1] for key in frames))
+    if unknown := [name for name in cameras or () if name not in known]:
+        raise InvalidSetup(f"There are no cameras {unknown}; valid: {', '.join(map(repr, known)) or 'none'}.")
+    found: list[Image] = []
+    for name in known if cameras is None else cameras:
+        for key, box in frames.items():
+            _, camera, kind = key.split("/")
+            if camera != name or kind not in (keys.RGB, keys.PIXELS, keys.DEPTH):
+                continue
+            rows, columns = box.shape[1:] if kind == keys.PIXELS else box.shape[:2]
+            if kind == keys.DEPTH:
+                shape = (1, rows, columns)
+                found.append(Image(key=key, name=f"{name}_depth", shape=shape, level_mm=DEPTH_LEVEL_MM))
+            else:
+                channels = box.shape[0] if kind == keys.PIXELS else box.shape[2]
+                found.append(Image(key=key, name=name, shape=(channels, rows, columns)))
+    return tuple(found)
+
+
+def _state_entries(boxes: Mapping[str, spaces.Box], scales: Scales, features: Sequence[Feature]) -> Iterator[Entry]:
+    """Yield the entries of an observation: all values, then the rotations of poses, then features of pairs."""
+    poses: list[str] = []
+    for key, box in boxes.items():
+        offset, scale = scales.of(key, box)
+        if _last(key) == keys.TQUAT and box.shape == (7,):
+            poses.append(key)
+            yield _value(key, box, offset[:3], scale[:3], unit="m")
+        else:
+            yield _value(key, box, offset, scale)
+    for key in poses:
+        yield _feature(key, "turn", 6)
+    objects = [key for key in poses if key.startswith(f"{keys.PRIVILEGED}/")]
+    tcps = [key for key in poses if key not in objects]
+    if not scales.robots and len(tcps) > 1:
+        return  # it is unknown where their bases stand
+    length = 1.0 if scales.area is None else scales.area.object_scale
+    for feature in features:
+        for first, second in [*((tcp, other) for tcp in tcps for other in objects), *pairwise(objects)]:
+            if feature == "relative_turn":
+                yield _feature(first, feature, 6, to=second)
+            elif feature != "half_turn":
+                scale = (CLOSE if feature == "near" else NEAR) * length
+                yield _feature(first, feature, 3, to=second, scale=scale, unit="m")
+            elif first in tcps:
+                yield _feature(first, feature, 2, to=second)
+
+
+def _value(key: str, box: spaces.Box, offset: ArrayLike, scale: ArrayLike, unit: str | None = None) -> Entry:
+    return Entry(
+        key=key,
+        shape=tuple(map(int, box.shape)),
+        dtype=np.dtype(box.dtype or np.float64).name,
+        offset=tuple(np.asarray(offset).tolist()),
+        scale=tuple(np.asarray(scale).tolist()),
+        unit=keys.UNITS.get(_last(key), "") if unit is None else unit,
+    )
+
+
+def _feature(key: str, kind: Kind, size: int, *, to: str = "", scale: float = 1.0, unit: str = "") -> Entry:
+    return Entry(key=key, kind=kind, to=to, offset=(0.0,) * size, scale=(scale,) * size, unit=unit)
+
+
+Scale = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Offset and scale of every number of a key."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Scales of observed keys, from the robots and the task's area."""
+
+    robots: Mapping[str, RobotPlacement]
+    """Robots by name; empty if unknown."""
+    area: Area | None
+    """The area of the task; None if unknown."""
+
+    def of(self, key: str, box: spaces.Box) -> Scale:
+        """Return the scale of a key; the translation of a pose comes first."""
+        size = int(np.prod(box.shape, dtype=int))
+        robot = self._robot(key)
+        match _last(key):
+            case keys.TQUAT | keys.XYZRPY as kind:
+                middle, half = self._around(robot)
+                turns = np.full(3, np.pi) if kind == keys.XYZRPY else np.ones(4)
+                return np.append(middle, np.zeros(len(turns))), np.append(half, turns)
+            case keys.JOINT_VELOCITIES:
+                return np.zeros(size), np.array(
+                    np.broadcast_to(SPEED if robot is None else robot.arm.velocity_limit, size)
+                )
+            case keys.VELOCITY:
+                known = robot or next(iter(self.robots.values()), None)
+                speeds = (TCP_SPEED, TURN_SPEED) if known is None else (known.arm.tcp_speed, known.arm.tcp_turn_speed)
+                return np.zeros(size), np.repeat(speeds, 3)
+            case keys.TCP_WRENCH:
+                return np.zeros(size), np.repeat([FORCE, MOMENT], 3)
+            case _:
+                return bounds_of(box)
+
+    def _robot(self, key: str) -> RobotPlacement | None:
+        """Return the robot that a key is of."""
+        return next(iter(self.robots.values())) if len(self.robots) == 1 else self.robots.get(key.partition("/")[0])
+
+    def _around(self, robot: RobotPlacement | None) -> Scale:
+        """Return the scale of positions (3,) in a robot's base frame: around the middle of the task's area."""
+        robots = list(self.robots.values())
+        if not robots:
+            return np.array(CENTRE), np.full(3, AROUND)
+        reach = (robot or robots[0]).arm.workspace_reach
+        if self.area is None:
+            return np.array([0.6 * reach, 0.0, 0.0]), np.full(3, 0.5 * reach)
+        centre = np.array([*self.area.center, 0.0, 0.0, 0.0, 0.0, 1.0])
+        base = base_in_scene(robots if robot is None else [robot])
+        half = max(0.5 * float(np.hypot(*self.area.size)), 0.25 * reach)
+        middle = np.round(compose(inverse(base), centre)[:3], 9) + 0.0  # no rounding of a turned base, no -0
+        return middle, np.full(3, half)
+
+
+def bounds_of(box: spaces.Box) -> Scale:
+    """Return the scale that maps finite bounds to -1 and 1; numbers without bounds stay as they are."""
+    low, high = box.low.astype(np.float64).ravel(), box.high.astype(np.float64).ravel()
+    is_bounded = np.isfinite(low) & np.isfinite(high)
+    low, high = np.where(is_bounded, low, -1.0), np.where(is_bounded, high, 1.0)
+    half = 0.5 * (high - low)
+    return 0.5 * (high + low), np.where(half > 0, half, 1.0)

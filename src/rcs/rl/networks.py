@@ -1,4 +1,4 @@
-"""Stable-Baselines3's learners and policies, made from the records that are stored with checkpoints."""
+"""The networks of policies as torch modules: those of Stable-Baselines3, and the students of teachers."""
 
 from __future__ import annotations
 
@@ -6,69 +6,19 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+import numpy as np
 from gymnasium import spaces
 
-from rcs.rl.algorithms import Algorithm, Dagger, Ppo, Rlpd, Sac
-from rcs.rl.flat import Flat
+from rcs.rl.algorithms import Algorithm, Dagger, Ppo, Sac
+from rcs.rl.flat import STATE, Flat
 from rcs.rl.packages import package
-from rcs.rl.rlpd import rlpd_model, rlpd_replay
-from rcs.rl.sb3 import Sb3VecEnv
-from rcs.rl.student import make_student
-from rcs.rl.training import Training
 
-_FIRST_VALUES = 0.02
-"""Factor on the weights of the first values: our choice; with it, PickCuboid reached the cuboid in half the steps."""
 FEATURES_PER_CAMERA = 256
 """Numbers that the convolutions (Mnih et al. 2015) make of each frame; Stable-Baselines3's usual figure."""
-
-
-def make_model(training: Training, envs: Sb3VecEnv) -> Any:
-    """Return a learner of Stable-Baselines3, with its weights drawn from the training's seed.
-
-    Raises:
-        MissingDependency: torch or Stable-Baselines3 is not installed.
-    """
-    algorithm = training.algorithm
-    assert not isinstance(algorithm, Dagger), "is made by TaughtLearner"
-    has_images = isinstance(envs.observation_space, spaces.Dict)
-    common: dict[str, Any] = {
-        "policy": "MultiInputPolicy" if has_images else "MlpPolicy",
-        "env": envs,
-        "gamma": training.setup.discount,
-        "learning_rate": _rate(algorithm),
-        "batch_size": batch_size(training),
-        "policy_kwargs": _network(algorithm, has_images=has_images),
-        "seed": training.seed % 2**32,  # the range of NumPy's
-        "device": training.device,
-    }
-    if isinstance(algorithm, Ppo):
-        names = ("n_steps", "n_epochs", "gae_lambda", "clip_range", "ent_coef", "vf_coef", "max_grad_norm", "target_kl")
-        model = _class(algorithm)(**common, **{name: getattr(algorithm, name) for name in names})
-        # Otherwise they are noise of about 1, which hides what is paid far from an object for coming nearer.
-        with package("torch").no_grad():
-            model.policy.value_net.weight.mul_(_FIRST_VALUES)
-        return model
-    names = ("gradient_steps", "buffer_size", "learning_starts", "tau")
-    common["ent_coef"] = "auto" if algorithm.ent_coef is None else algorithm.ent_coef
-    if isinstance(algorithm, Rlpd):
-        common["replay_buffer_class"] = rlpd_replay(has_images=has_images)
-        common["replay_buffer_kwargs"] = {"teacher_rows": -(-algorithm.learning_starts // training.copies)}
-    return _class(algorithm)(**common, **{name: getattr(algorithm, name) for name in names})
-
-
-def batch_size(training: Training) -> int:
-    """Return the steps per gradient step: those of the algorithm, or fewer, so that all batches are equally large."""
-    algorithm = training.algorithm
-    if not isinstance(algorithm, Ppo):
-        return algorithm.batch_size
-    steps = training.copies * algorithm.n_steps
-    fewest = -(-steps // algorithm.batch_size)
-    return steps // next(batches for batches in range(fewest, steps + 1) if steps % batches == 0)
-
-
-def reward_scale(training: Training) -> float:
-    """Return the factor on the rewards that a learner sees."""
-    return training.algorithm.reward_scale if isinstance(training.algorithm, Ppo) else 1.0
+LEAST_SPREAD = 0.05
+"""Least spread that numbers of flat vectors are divided by: what hardly varies in teaching is not blown up later."""
+_FEATURES = 64
+"""Numbers that a student makes of the robot's state, and of each frame besides the places of its features."""
 
 
 def make_policy(algorithm: Algorithm, flat: Flat) -> Any:
@@ -79,10 +29,11 @@ def make_policy(algorithm: Algorithm, flat: Flat) -> Any:
     """
     if isinstance(algorithm, Dagger):
         return make_student(algorithm, flat).eval()
-    has_images = isinstance(flat.observation_space, spaces.Dict)
-    kind = _class(algorithm).policy_aliases["MultiInputPolicy" if has_images else "MlpPolicy"]
-    network = _network(algorithm, has_images=has_images)
-    policy = kind(flat.observation_space, flat.action_space, lambda _: 0.0, **network)
+    sb3, has_images = package("stable_baselines3"), isinstance(flat.observation_space, spaces.Dict)
+    kinds = (sb3.PPO if isinstance(algorithm, Ppo) else sb3.SAC).policy_aliases
+    options = network_options(algorithm, has_images=has_images)
+    kind = kinds["MultiInputPolicy" if has_images else "MlpPolicy"]
+    policy = kind(flat.observation_space, flat.action_space, lambda _: 0.0, **options)
     policy.set_training_mode(False)
     return policy
 
@@ -90,7 +41,7 @@ def make_policy(algorithm: Algorithm, flat: Flat) -> Any:
 def mean_action(policy: Any) -> Callable[[Any], Any]:
     """Return the function from observations to a policy's mean actions, both as tensors with a leading axis.
 
-    It is what the policy does without exploration, without the distributions that its own methods make on the way.
+    It acts without exploration, and without the distributions that the policy's own methods make on the way.
     """
     if hasattr(policy, "actor"):
         actor, torch = policy.actor, package("torch")
@@ -102,31 +53,25 @@ def mean_action(policy: Any) -> Callable[[Any], Any]:
     )
 
 
-def _class(algorithm: Ppo | Sac) -> Any:
-    if isinstance(algorithm, Rlpd):
-        return rlpd_model()
-    sb3 = package("stable_baselines3")
-    return sb3.PPO if isinstance(algorithm, Ppo) else sb3.SAC
-
-
-def _network(algorithm: Ppo | Sac, *, has_images: bool) -> dict[str, Any]:
+def network_options(algorithm: Ppo | Sac, *, has_images: bool) -> dict[str, Any]:
+    """Return the options of Stable-Baselines3's policies for an algorithm."""
     nn = package("torch.nn")
-    how: dict[str, Any] = {
+    options: dict[str, Any] = {
         "net_arch": list(algorithm.network),
         "activation_fn": {"tanh": nn.Tanh, "relu": nn.ReLU}[algorithm.activation],
     }
     if isinstance(algorithm, Ppo):
-        how["log_std_init"] = algorithm.log_std_init
+        options["log_std_init"] = algorithm.log_std_init
         if algorithm.near_and_far and not has_images:
-            how["features_extractor_class"] = _near_and_far()
+            options["features_extractor_class"] = _near_and_far()
     if has_images:
-        how["features_extractor_kwargs"] = {"cnn_output_dim": FEATURES_PER_CAMERA}
-    return how
+        options["features_extractor_kwargs"] = {"cnn_output_dim": FEATURES_PER_CAMERA}
+    return options
 
 
 @cache
 def _near_and_far() -> Any:
-    """Return the class of features that tell every number x twice, as 2 tanh(x / 2) and as tanh(4 x)."""
+    """Return the class of features with every number x twice, as 2 tanh(x / 2) and as tanh(4 x)."""
     torch = package("torch")
     base: Any = package("stable_baselines3.common.torch_layers").BaseFeaturesExtractor
 
@@ -140,6 +85,82 @@ def _near_and_far() -> Any:
     return NearAndFar
 
 
-def _rate(algorithm: Ppo | Sac) -> Any:
-    start = algorithm.learning_rate
-    return start if algorithm.schedule == "constant" else lambda remaining: start * max(remaining, 0.0)
+def make_student(algorithm: Dagger, flat: Flat) -> Any:
+    """Return a torch module from flat observations, with a leading axis, to flat actions.
+
+    Frames pass three convolutions. A spatial softmax says where in the frame their features are (Levine et al. 2016,
+    arXiv:1504.00702), and one more convolution what they are.
+
+    Raises:
+        MissingDependency: torch is not installed.
+    """
+    torch = package("torch")
+    nn = torch.nn
+    space = flat.observation_space
+    images = flat.layout.images
+
+    class Camera(nn.Module):
+        """Makes numbers of a camera's frames."""
+
+        def __init__(self, shape: tuple[int, int, int]) -> None:
+            super().__init__()
+            first, second, third = algorithm.channels
+            self.convolutions = nn.Sequential(
+                nn.Conv2d(shape[0], first, 5, 2), nn.ReLU(), nn.Conv2d(first, second, 3, 2), nn.ReLU(),
+                nn.Conv2d(second, third, 3, 1),
+            )  # fmt: skip
+            self.last = nn.Sequential(nn.ReLU(), nn.Conv2d(third, third, 3, 2), nn.ReLU(), nn.Flatten())
+            with torch.no_grad():
+                made = self.convolutions(torch.zeros(1, *shape))
+                rows, columns = (torch.linspace(-1.0, 1.0, size) for size in made.shape[2:])
+                grid = torch.stack(torch.meshgrid(rows, columns, indexing="ij"), -1).reshape(-1, 2)
+                self.register_buffer("grid", grid, persistent=False)
+                self.what = nn.Sequential(nn.Linear(self.last(made).shape[1], _FEATURES), nn.ReLU())
+            self.size = 2 * third + _FEATURES
+
+        def forward(self, frames: Any) -> Any:
+            made = self.convolutions(frames.float() * (2.0 / 255.0) - 1.0)
+            where = made.flatten(2).softmax(-1) @ self.grid
+            return torch.cat([where.flatten(1), self.what(self.last(made))], 1)
+
+    class Student(nn.Module):
+        """The whole policy; mean and spread of its numbers are part of its weights."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            given, made = flat.layout.state_size, flat.layout.action_size
+            for name, size in (("state", given), ("action", made)):
+                self.register_buffer(f"{name}_mean", torch.zeros(size))
+                self.register_buffer(f"{name}_spread", torch.ones(size))
+            self.cameras = nn.ModuleDict({image.name: Camera(image.shape) for image in images})
+            self.state = nn.Sequential(nn.Linear(given, _FEATURES if images else algorithm.network[0]), nn.ReLU())
+            size = sum(camera.size for camera in self.cameras.values()) + self.state[0].out_features
+            layers: list[Any] = []
+            for hidden in algorithm.network:
+                layers += [nn.Linear(size, hidden), *([] if layers else [nn.LayerNorm(hidden)]), nn.ReLU()]
+                size = hidden
+            self.head = nn.Sequential(*layers, nn.Linear(size, made))
+
+        def forward(self, observation: Any) -> Any:
+            """Return the actions."""
+            return self.normalised(observation) * self.action_spread + self.action_mean
+
+        def normalised(self, observation: Any) -> Any:
+            """Return the actions in units of their spread, as they are learned."""
+            state = observation[STATE] if isinstance(space, spaces.Dict) else observation
+            seen = [camera(observation[name]) for name, camera in self.cameras.items()]
+            return self.head(torch.cat([*seen, self.state((state - self.state_mean) / self.state_spread)], 1))
+
+        def targets(self, action: Any) -> Any:
+            """Return actions in units of their spread."""
+            return (action - self.action_mean) / self.action_spread
+
+        def set_normalisation(self, states: Any, actions: Any) -> None:
+            """Set mean and spread to those of NumPy arrays, a row per step."""
+            for name, rows in (("state", states), ("action", actions)):
+                rows = rows.astype(np.float64)
+                getattr(self, f"{name}_mean").copy_(torch.from_numpy(rows.mean(0)))
+                getattr(self, f"{name}_spread").copy_(torch.from_numpy(np.maximum(rows.std(0), LEAST_SPREAD)))
+
+    # Convolutions on the CPU are about a third faster with channels last.
+    return Student().to(memory_format=torch.channels_last)

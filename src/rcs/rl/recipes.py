@@ -1,49 +1,14 @@
-"""Recipes: for each task the environment, the algorithm and the figures that learn it."""
+"""Recipes: for each task the training that learns it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
-from rcs.errors import InvalidSetup, UnknownName
-from rcs.rl.algorithms import ALGORITHMS, Algorithm, AlgorithmName, Bc, Dagger, Ppo, Rlpd, Sac, check_fields
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recipe:
-    """What learns a task: an environment, how many copies of it, an algorithm and how long.
-
-    Example:
-        >>> from dataclasses import replace
-        >>> from rcs.rl.recipes import recipe_for
-        >>> recipe = recipe_for("PickCuboid", "ppo")
-        >>> faster = replace(recipe, algorithm=replace(recipe.algorithm, learning_rate=1e-3))
-    """
-
-    setup: Setup
-    """The environment. `rcs train` puts in the robot, and whatever else its options say."""
-    copies: int
-    """Copies of the environment that are stepped together."""
-    steps: int
-    """Environment steps of the whole training, of all copies together."""
-    algorithm: Algorithm
-    """What learns, with its hyperparameters."""
-    evaluation_steps: int = 0
-    """An episode of an evaluation is truncated after this many steps; 0 for as many as in training."""
-
-    def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            InvalidSetup: One is out of range.
-        """
-        check_fields(self, whole=("copies", "steps"), natural=("evaluation_steps",))
-
-    def on(self, robot: str, end_effector: str | None = None) -> Recipe:
-        """Return the recipe for another robot, with its usual end effector or another one."""
-        return replace(self, setup=replace(self.setup, robot=robot, end_effector=end_effector))
-
+from rcs.errors import UnknownName
+from rcs.rl.algorithms import ALGORITHMS, AlgorithmName, Bc, Dagger, Ppo, Sac
+from rcs.rl.training import Training
 
 RATE = 10.0
 """Decisions per second [Hz]. Nearly all that a step costs is physics, and from the same simulated time less was learned
@@ -92,7 +57,7 @@ _SEEN = Setup(
 """The environment of a policy that sees, and is not told where the objects are: its own joints and two cameras."""
 
 
-def _ppo(task: str, *, seconds: float, steps: int) -> Recipe:
+def _ppo(task: str, *, seconds: float, steps: int) -> Training:
     """Return the recipe of a task of which an episode lasts some seconds: each update sees all of it."""
     algorithm = Ppo(
         n_steps=round(seconds * RATE),
@@ -106,33 +71,27 @@ def _ppo(task: str, *, seconds: float, steps: int) -> Recipe:
         reward_scale=0.25,
     )
     judged = round(max(seconds, _JUDGED) * RATE)
-    return Recipe(setup=_setup(task, seconds), copies=32, steps=steps, algorithm=algorithm, evaluation_steps=judged)
+    return Training(setup=_setup(task, seconds), copies=32, steps=steps, algorithm=algorithm, evaluation_steps=judged)
 
 
-RECIPES: dict[tuple[str, AlgorithmName], Recipe] = {
+RECIPES: dict[tuple[str, AlgorithmName], Training] = {
     ("PickCuboid", "ppo"): _ppo("PickCuboid", seconds=6.0, steps=500_000),
     ("Push", "ppo"): _ppo("Push", seconds=8.0, steps=1_000_000),
     ("Place", "ppo"): _ppo("Place", seconds=9.0, steps=1_500_000),
-    ("PickCuboid", "sac"): Recipe(setup=_setup("PickCuboid", 6.0), copies=8, steps=200_000, algorithm=Sac()),
-    ("PickCuboid", "rlpd"): Recipe(
-        setup=replace(_SEEN, cameras=(), observe=("privileged", "contacts"), reward="dense", discount=DISCOUNT),
-        copies=8,
-        steps=60_000,
-        algorithm=Rlpd(gradient_steps=8, buffer_size=100_000),
-    ),
-    ("PickCuboid", "dagger"): Recipe(setup=_SEEN, copies=32, steps=20_480, algorithm=Dagger()),
-    ("Place", "dagger"): Recipe(
+    ("PickCuboid", "sac"): Training(setup=_setup("PickCuboid", 6.0), copies=8, steps=200_000, algorithm=Sac()),
+    ("PickCuboid", "dagger"): Training(setup=_SEEN, copies=32, steps=20_480, algorithm=Dagger()),
+    ("Place", "dagger"): Training(
         setup=replace(_SEEN, task="Place", cameras=(), observe=("privileged", "contacts"), max_episode_steps=90),
         copies=32,
         steps=20_480,
         algorithm=Dagger(teacher="PlaceTeacher", gradient_steps=300),
     ),
-    ("PickCuboid", "bc"): Recipe(setup=_SEEN, copies=32, steps=20_480, algorithm=Bc()),
+    ("PickCuboid", "bc"): Training(setup=_SEEN, copies=32, steps=20_480, algorithm=Bc()),
 }
 """Recipes by task and algorithm. Nothing in them depends on the robot; cameras are those of the FR3's lab."""
 
 
-def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[str, ...] = ()) -> Recipe:
+def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[str, ...] = ()) -> Training:
     """Return the recipe for a task; one that has none of its own gets that of PickCuboid.
 
     Args:
@@ -142,12 +101,9 @@ def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[st
 
     Raises:
         UnknownName: There is no such algorithm.
-        InvalidSetup: The algorithm has no recipe for policies that see.
     """
     if algorithm not in ALGORITHMS:
         raise UnknownName("algorithm", str(algorithm), ALGORITHMS)
-    if cameras and algorithm == "rlpd":
-        raise InvalidSetup("'rlpd' keeps every step in memory, and frames are too large for that; use 'dagger'.")
     recipe = RECIPES.get((task, algorithm), RECIPES["PickCuboid", algorithm])
     setup = replace(recipe.setup, task=task)
     if cameras and isinstance(recipe.algorithm, Dagger):

@@ -13,10 +13,9 @@ from rcs_data.view.charts import CHARTS_SCRIPT, Series, chart
 from rcs_data.view.html import Html, element, figure, film, header, page, script, table, web
 
 from rcs.errors import CorruptCheckpoint
-from rcs.rl.checkpoint import Checkpoint, best_of, checkpoints_of, open_checkpoint
-from rcs.rl.examiner import VIDEOS
+from rcs.rl.checkpoint import Checkpoint, best_of, whole_checkpoints
 from rcs.rl.metrics import EPISODES, JUDGED, LENGTH, RATE, REWARD, SPEED, SUCCESSES, Row, read_metrics
-from rcs.rl.run import read_training
+from rcs.rl.run import VIDEOS, read_training
 from rcs.rl.training import Training
 
 REPORT = "report.html"
@@ -48,12 +47,10 @@ def write_report(run: str | Path) -> Path:
     folder = Path(run)
     training = read_training(folder)
     rows = read_metrics(folder)
-    checkpoints: list[Checkpoint] = []
-    for place in checkpoints_of(folder):
-        try:
-            checkpoints.append(open_checkpoint(place))
-        except CorruptCheckpoint:
-            continue
+    try:
+        checkpoints = whole_checkpoints(folder)
+    except CorruptCheckpoint:  # all of them; the curves are there
+        checkpoints = []
     path = folder / REPORT
     with disk_errors("write the report", path):
         write_file(path, _page(folder, training, rows, checkpoints).encode())

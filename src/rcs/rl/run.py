@@ -1,4 +1,4 @@
-"""The folder of a run: whose it is, and what is trained there."""
+"""The folder of a run: its lock, and the record of what is trained there."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from rcs.rl.checkpoint import checkpoints_of, open_checkpoint
 from rcs.rl.training import VERSION, Training
 
 RECORD = "training.json"
+VIDEOS = "videos"
 _LOCK = ".training.lock"
 # These change neither the weights nor how they come about.
 _FREE = ("evaluate_every", "episodes", "checkpoint_every")

@@ -11,12 +11,10 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from rcs.envs.spaces import Observation
 from rcs.envs.step.judge import DIVERGED
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, MissingDependency, WrongOrder
 from rcs.rl.flat import Flat
-from rcs.rl.layout import Path
 
 
 def _base() -> Any:
@@ -44,23 +42,17 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
     channels first.
     """
 
-    def __init__(
-        self, envs: VecEnv, flat: Flat | None = None, *, reward_scale: float = 1.0, spread: bool = False
-    ) -> None:
+    def __init__(self, envs: VecEnv, flat: Flat | None = None, *, reward_scale: float = 1.0) -> None:
         """Wrap copies.
 
         Args:
             envs: Made by `rcs.make_vec` with `autoreset="SameStep"`.
             flat: The maps; None for `Flat(envs)`.
             reward_scale: Factor on the rewards of a step; the returns that infos tell are without it.
-            spread: Whether the first episodes are cut short, each after another number of steps, as truncated ones
-                whose info has no `episode`. Otherwise, all copies go through the same part of an episode together as
-                long as none succeeds, and a learner sees a part at a time.
 
         Raises:
             MissingDependency: Stable-Baselines3 is not installed.
-            InvalidSetup: The copies start their next episode in another step than that of the end, or episodes that
-                should be spread have no limit.
+            InvalidSetup: The copies start their next episode in another step than that of the end.
         """
         if _Base is object:
             raise MissingDependency(
@@ -69,22 +61,11 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         mode = envs.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise InvalidSetup(f"autoreset is {mode}; Stable-Baselines3 needs make_vec(..., autoreset='SameStep').")
-        limit = envs.setup.max_episode_steps
-        if spread and limit is None:
-            raise InvalidSetup("Episodes without a limit cannot be spread; set max_episode_steps.")
-        # Copy 0 keeps its first episode whole.
-        self._first_steps = -(np.arange(envs.num_envs) * (limit or 0) // envs.num_envs) % (limit or 1)
-        self._is_spread = spread
-        self._cuts = np.zeros(envs.num_envs, np.int64)
         self.envs = envs
         """The copies."""
         self.flat = Flat(envs) if flat is None else flat
         """The maps between their dictionaries and vectors."""
-        self.observation: Observation = {}
-        """What the copies observed last, as they tell it."""
         super().__init__(envs.num_envs, self.flat.observation_space, self.flat.action_space)
-        self._keys = [entry.path for entry in self.flat.layout.state if entry.kind == "value"]
-        self._keys += [image.path for image in self.flat.layout.images]
         self._reward_scale = reward_scale
         self._returns = np.zeros(envs.num_envs)
         self._lengths = np.zeros(envs.num_envs, np.int64)
@@ -99,12 +80,11 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         """
         if any(self._options):
             raise InvalidSetup("set_options was called; copies take no options at a reset.")
-        self.observation, _ = self.envs.reset(seed=self._seeds)
+        observation, _ = self.envs.reset(seed=self._seeds)
         self._reset_seeds()
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        self._cuts = np.where(self._is_spread, self._first_steps, 0)
-        return self.flat.observation(self.observation)
+        return self.flat.observation(observation)
 
     def step_async(self, actions: NDArray[np.floating[Any]]) -> None:
         """Take the actions (copies, n) of the next step."""
@@ -129,23 +109,21 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         self._lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
-            self._tell_ended(infos, info, np.flatnonzero(done), truncated)
-        if self._is_spread and (self._cuts > 0).any():
-            observation, done = self._cut(observation, done, infos)
-        self.observation = observation
+            self._describe_ends(infos, info, np.flatnonzero(done), truncated)
         return self.flat.observation(observation), (reward * self._reward_scale).astype(np.float32), done, infos
 
-    def _tell_ended(
+    def _describe_ends(
         self, infos: list[dict[str, Any]], info: Mapping[str, Any], ended: NDArray[np.intp], truncated: NDArray[Any]
     ) -> None:
-        last = self.flat.observation(_rows(info["final_obs"], self._keys, ended))
+        last = self.flat.observation(info["final_obs"])
         seconds = round(time.monotonic() - self._start, 6)
         ends: Any = info["final_info"]["end"]
         success = info["final_info"].get("success")
-        for row, copy in enumerate(ended.tolist()):
+        for copy in ended.tolist():
             end = str(ends[copy])
+            own = {key: rows[copy] for key, rows in last.items()} if isinstance(last, dict) else last[copy]
             infos[copy] = {
-                "terminal_observation": _row(last, row),
+                "terminal_observation": own,
                 "TimeLimit.truncated": bool(truncated[copy]) and end != DIVERGED,
                 "episode": {"r": float(self._returns[copy]), "l": int(self._lengths[copy]), "t": seconds},
                 "end": end,
@@ -155,30 +133,13 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         self._returns[ended] = 0.0
         self._lengths[ended] = 0
 
-    def _cut(
-        self, observation: Observation, done: NDArray[np.bool_], infos: list[dict[str, Any]]
-    ) -> tuple[Observation, NDArray[np.bool_]]:
-        """End first episodes that have lasted long enough."""
-        self._cuts[done] = 0  # it has ended by itself
-        cut = (self._cuts > 0) & (self._lengths >= self._cuts)
-        if not cut.any():
-            return observation, done
-        ended = np.flatnonzero(cut)
-        last = self.flat.observation(_rows(observation, self._keys, ended))
-        observation, _ = self.envs.reset(options={"reset_mask": cut})
-        for row, copy in enumerate(ended.tolist()):
-            infos[copy] = {"terminal_observation": _row(last, row), "TimeLimit.truncated": True, "end": "cut"}
-        self._cuts[ended] = self._lengths[ended] = 0
-        self._returns[ended] = 0.0
-        return observation, done | cut
-
     def statistics(self) -> dict[str, NDArray[Any]]:
         """Return what was counted of the episodes at work, to go on with them later, an array (copies,) each."""
-        return {"returns": self._returns.copy(), "lengths": self._lengths.copy(), "cuts": self._cuts.copy()}
+        return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
 
     def set_statistics(self, statistics: Mapping[str, NDArray[Any]]) -> None:
         """Go on with what `statistics` returned; the copies themselves go on from `VecEnv.set_state`."""
-        for own, name in ((self._returns, "returns"), (self._lengths, "lengths"), (self._cuts, "cuts")):
+        for own, name in ((self._returns, "returns"), (self._lengths, "lengths")):
             own[:] = statistics[name]
 
     def close(self) -> None:
@@ -232,22 +193,3 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
     def __repr__(self) -> str:
         """Return what it wraps."""
         return f"Sb3VecEnv({self.envs!r}, {self.flat!r})"
-
-
-def _row(observation: Any, row: int) -> Any:
-    """Return one row of a flat observation."""
-    if isinstance(observation, Mapping):
-        return {key: value[row] for key, value in observation.items()}
-    return observation[row]
-
-
-def _rows(observation: Mapping[str, Any], paths: Iterable[Path], rows: NDArray[np.intp]) -> dict[str, Any]:
-    """Return some copies' rows of the keys that are used."""
-    chosen: dict[str, Any] = {}
-    for path in paths:
-        found: Any = observation
-        inner = chosen
-        for key in path[:-1]:
-            found, inner = found[key], inner.setdefault(key, {})
-        inner[path[-1]] = found[path[-1]][rows]
-    return chosen

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
+from typing import Annotated, Any
+
+from rcs_data.record import Meta, Natural, Record, Whole
 
 from rcs.envs.setup import Setup
-from rcs.errors import CorruptCheckpoint, InvalidSetup, require_fields
-from rcs.rl.algorithms import Algorithm, Rlpd, Sac, algorithm_from_json, algorithm_to_json
-from rcs.rl.recipes import Recipe
+from rcs.errors import CorruptCheckpoint, InvalidSetup, UnknownName
+from rcs.rl.algorithms import ALGORITHMS, Algorithm, Sac
 from rcs.rollout.recorded_setup import require_trusted
 
-VERSION = 1
+VERSION = 2
 """Raised when what is stored comes to mean something else."""
 
 # Each kind of episode has its own range of seeds, so that none is seen by two of them.
@@ -23,32 +23,38 @@ _MOST_COPIES = 1 << 20
 _MOST_SEEDS = 1 << 40
 
 
-@dataclass(frozen=True, kw_only=True)
-class Training:
-    """What is trained. The same record gives the same weights, bit for bit, on the same machine."""
+class Training(Record):
+    """What is trained. The same record gives the same weights, bit for bit, on the same machine.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from rcs.rl import recipe_for
+        >>> training = recipe_for("PickCuboid", "ppo")
+        >>> faster = replace(training, algorithm=replace(training.algorithm, learning_rate=1e-3))
+    """
 
     setup: Setup
     """The environment."""
-    copies: int
+    copies: Annotated[int, Meta(ge=1, lt=_MOST_COPIES)]
     """Copies of the environment that are stepped together."""
-    steps: int
+    steps: Whole
     """Environment steps of the whole training, of all copies together."""
     algorithm: Algorithm
-    """What learns, with its hyperparameters."""
-    seed: int = 0
-    """Of the weights, the episodes and the exploration."""
-    evaluate_every: int = 0
+    """The algorithm that learns, with its hyperparameters."""
+    seed: Annotated[int, Meta(ge=0, lt=_MOST_SEEDS)] = 0
+    """Seed of the weights, the episodes and the exploration."""
+    evaluate_every: Natural = 0
     """Steps between two evaluations; 0 for a twentieth of all."""
-    episodes: int = 50
+    episodes: Natural = 50
     """Episodes of an evaluation; 0 for no evaluations."""
-    evaluation_steps: int = 0
+    evaluation_steps: Natural = 0
     """An episode of an evaluation is truncated after this many steps; 0 for as many as in training. Short episodes
     teach sooner, for they begin more often, and a policy may take longer where it is judged."""
-    checkpoint_every: int = 0
+    checkpoint_every: Natural = 0
     """Steps between two checkpoints; 0 for one at every evaluation. Every evaluation has one."""
     device: str = "cpu"
-    """Where the networks are, as torch names it: `cpu`, `cuda`."""
-    torch_threads: int = 0
+    """Device of the networks, as torch names it: `cpu`, `cuda`."""
+    torch_threads: Natural = 0
     """Threads of torch on the CPU; 0 to measure which number is fastest. Sums of another number differ in their last
     bits."""
 
@@ -56,60 +62,32 @@ class Training:
         """Check every number.
 
         Raises:
-            InvalidSetup: One is out of range.
+            InvalidSetup: One is out of range, or the setup has no simulated time.
         """
-        limits = {
-            "copies": (1, _MOST_COPIES),
-            "steps": (1, None),
-            "seed": (0, _MOST_SEEDS),
-            "evaluate_every": (0, None),
-            "episodes": (0, None),
-            "evaluation_steps": (0, None),
-            "checkpoint_every": (0, None),
-            "torch_threads": (0, None),
-        }
-        for name, (least, most) in limits.items():
-            value = getattr(self, name)
-            is_whole = isinstance(value, int) and not isinstance(value, bool)
-            if not is_whole or value < least or (most is not None and value >= most):
-                end = "" if most is None else f" to {most - 1}"
-                raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}{end}.")
-        for name, share in (("evaluate_every", 20), ("checkpoint_every", 0)):
-            if not getattr(self, name):
-                own = max(self.steps // share, 1) if share else self.evaluate_every
-                object.__setattr__(self, name, own)
-        if not isinstance(self.setup, Setup):
-            raise InvalidSetup(f"setup is {self.setup!r}; valid is a Setup.")
+        super().__post_init__()
         if self.setup.stepping == "realtime":
             raise InvalidSetup("stepping is 'realtime'; training has no wall clock: use 'async'.")
         if isinstance(self.algorithm, Sac) and self.algorithm.buffer_size < self.copies:
             raise InvalidSetup(f"buffer_size is {self.algorithm.buffer_size}; it must hold a step of each copy.")
-        if isinstance(self.algorithm, Rlpd) and self.algorithm.buffer_size < self.steps + self.copies:
-            raise InvalidSetup(
-                f"buffer_size is {self.algorithm.buffer_size}; RLPD forgets nothing: it must hold all {self.steps} "
-                "steps, and one more of each copy."
-            )
 
-    @classmethod
-    def of(cls, recipe: Recipe, **options: Any) -> Training:
-        """Return the training of a recipe.
+    def on(self, robot: str, end_effector: str | None = None) -> Training:
+        """Return the training of another robot, with its usual end effector or another one."""
+        return replace(self, setup=replace(self.setup, robot=robot, end_effector=end_effector))
 
-        Args:
-            recipe: The recipe.
-            options: Other fields of this record.
+    @property
+    def evaluation_interval(self) -> int:
+        """Steps between two evaluations."""
+        return self.evaluate_every or max(self.steps // 20, 1)
 
-        Raises:
-            InvalidSetup: A number is out of range.
-        """
-        fields = {own.name: getattr(recipe, own.name) for own in dataclasses.fields(Recipe)}
-        return cls(**{**fields, **options})
+    @property
+    def checkpoint_interval(self) -> int:
+        """Steps between two checkpoints."""
+        return self.checkpoint_every or self.evaluation_interval
 
     @property
     def evaluation_setup(self) -> Setup:
         """The environment in which the policy is judged."""
-        if not self.evaluation_steps:
-            return self.setup
-        return dataclasses.replace(self.setup, max_episode_steps=self.evaluation_steps)
+        return replace(self.setup, max_episode_steps=self.evaluation_steps) if self.evaluation_steps else self.setup
 
     @property
     def first_seed(self) -> int:
@@ -126,8 +104,8 @@ class Training:
 
     def to_json(self) -> dict[str, Any]:
         """Return the record as JSON values."""
-        values = {own.name: getattr(self, own.name) for own in dataclasses.fields(self)}
-        return {**values, "setup": self.setup.to_json(), "algorithm": algorithm_to_json(self.algorithm)}
+        values = {**super().to_json(), "setup": self.setup.to_json()}
+        return {**values, "algorithm": {"name": self.algorithm.name, **self.algorithm.to_json()}}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any], *, trust: Collection[str] = ()) -> Training:
@@ -141,20 +119,24 @@ class Training:
             CorruptCheckpoint: Something is missing.
             InvalidSetup: A field is unknown or out of range, or a class of a module is named that is neither imported
                 nor trusted.
+            UnknownName: There is no such algorithm.
         """
         try:
             given = dict(values)
-            setup, algorithm = dict(given.pop("setup")), given.pop("algorithm")
+            setup, algorithm = dict(given["setup"]), dict(given["algorithm"])
+            name = algorithm.pop("name")
         except (KeyError, TypeError, ValueError) as err:
             raise CorruptCheckpoint(f"The record of a training lacks something: {type(err).__name__}: {err}.") from err
-        require_fields("field of a training", given, (own.name for own in dataclasses.fields(cls)))
+        if name not in ALGORITHMS:
+            raise UnknownName("algorithm", str(name), ALGORITHMS)
         require_trusted(setup, "The setup of the training", trust)
-        return cls(setup=Setup.from_json(setup), algorithm=algorithm_from_json(algorithm), **given)
+        own = {"setup": Setup.from_json(setup), "algorithm": ALGORITHMS[name].from_json(algorithm)}
+        return super().from_json({**given, **own})
 
     def difference(self, other: Training) -> list[str]:
         """Return in words where another record differs, a line each; threads of torch that are 0 agree with any.
 
-        Of another algorithm, nothing more is said: most of its figures have no counterpart.
+        Hyperparameters of another algorithm are left out: most have no counterpart.
         """
         if self.algorithm.name != other.algorithm.name:
             return [f"the algorithm is {other.algorithm.name!r}, not {self.algorithm.name!r}"]

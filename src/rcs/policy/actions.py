@@ -1,4 +1,4 @@
-"""The form of actions: the columns of a policy's chunks as parts, and commands as actions of an environment."""
+"""Actions of an environment from the chunks of a policy, and the action that holds the robot."""
 
 from __future__ import annotations
 
@@ -10,12 +10,9 @@ import numpy as np
 from rcs.envs.env import Env
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS, TQUAT, TWIST, XYZRPY, Action, Observation
 from rcs.errors import InvalidSetup
-from rcs.policy.holding import flat, nested
-from rcs.policy.offer import flat_boxes, key_of, unit_of
-from rcs.policy.part import STILL, Array, Kind, Part
-from rcs.policy.plan import NEAR, Command, Plan
-from rcs.policy.units import from_unit
-from rcs.spatial import limit_step
+from rcs.policy.interface import flat, flat_boxes, from_unit, key_of, nested, unit_of
+from rcs.policy.plan import NEAR, STILL, Array, Command, Kind, Part, Plan
+from rcs.spatial import limit_step, tquat_to_xyzrpy
 
 if TYPE_CHECKING:
     from vlagents import Metadata
@@ -28,38 +25,57 @@ _KINDS: dict[str, Kind] = {
 }  # fmt: skip
 
 
-class ActionForm:
-    """Reads a policy's chunks, and writes an environment's actions."""
+class PolicyActions:
+    """Converts between a policy's chunks and an environment's actions, in any control mode.
+
+    To hold, the robot stays where it is measured when it begins to hold, and grippers keep their last command.
+    Differences of nothing count from the measured state after `Env.hold`; absolute targets are the measured ones.
+    """
 
     def __init__(self, env: Env, metadata: Metadata) -> None:
         """Prepare for a policy that fits an environment.
 
         Raises:
-            InvalidSetup: Nobody knows how to execute a part of the action.
+            InvalidSetup: A part of the action is of an unknown kind.
         """
-        self.parts = _parts(metadata)
-        """What a chunk's columns are."""
+        self.parts = parts_of(metadata)
+        """The parts of a chunk's rows."""
+        self._env = env
         self._boxes = dict(flat_boxes(env.action_space))
+        self._is_absolute = env.setup.relative == "absolute"
         self._rate, self._horizon, self._size = metadata.rate, metadata.horizon, metadata.size
         self.is_clipped = False
         """Whether the policy wanted more than the environment takes, in the last action."""
+        self._held: dict[str, Array] = {}
+        self._grips: dict[str, Array] = {}
+        self._was_moved = False
 
-    def start(self, observation: Observation, info: Mapping[str, Any], *, is_held: bool) -> dict[str, Array]:
-        """Return where a chunk starts that is asked for now, by part: the last target, or what is measured.
+    @property
+    def is_held(self) -> bool:
+        """Whether the robot holds now."""
+        return bool(self._held)
+
+    def reset(self, observation: Observation) -> None:
+        """Begin an episode; grippers are as they are measured."""
+        self._held, self._was_moved, self.is_clipped = {}, False, False
+        measured = flat(observation)
+        self._grips = {name: measured[name] for name in self._boxes if key_of(name) in (GRIPPER, HAND)}
+
+    def start(self, observation: Observation, info: Mapping[str, Any]) -> dict[str, Array]:
+        """Return where a chunk starts that is computed now, by part: the last target, or the measured state.
 
         Args:
             observation: The present one.
-            info: Of the last step; its `target` is where the robot will be.
-            is_held: Whether the robot is held: then it goes nowhere.
+            info: The info of the last step; its `target` is where the robot will be, unless it holds.
         """
         measured, target = flat(observation), flat(info.get("target", {}))
         found: dict[str, Array] = {}
         for part in self.parts:
             if part.is_difference or part.kind in ("opening", "velocity"):
                 continue
-            key = part.name[: -len(XYZRPY)] + TQUAT if part.kind == "rpy" else part.name
+            key = part.name.removesuffix(XYZRPY) + TQUAT if part.kind == "rpy" else part.name
             # What counts from the start counts from what the policy has seen.
-            source = measured if part.counts_from_start or is_held else {**measured, **target}
+            source = measured if part.counts_from_start or self.is_held else {**measured, **target}
             found[part.name] = np.array(source[key], np.float64)
         return found
 
@@ -77,8 +93,8 @@ class ActionForm:
         """Return how many of the rows in flight will be executed within a delay [s]."""
         return min(int(np.ceil(delay * self._rate - NEAR)), rows)
 
-    def bounded(self, command: Command) -> dict[str, Array]:
-        """Return a command by part in the form of the action, inside the environment's bounds."""
+    def action(self, command: Command) -> Action:
+        """Return the action of a command, inside the environment's bounds."""
         values: dict[str, Array] = {}
         self.is_clipped = False
         for part in self.parts:
@@ -89,20 +105,41 @@ class ActionForm:
                 value = part.write(limit_step(STILL, command[part.name], np.inf, turn))
             values[part.name] = np.clip(value, box.low, box.high)
             self.is_clipped |= bool((np.abs(values[part.name] - wanted) > CLIPPED).any())
-        return values
-
-    def action(self, values: Mapping[str, Array]) -> Action:
-        """Return values by part as an action."""
+        self._held, self._was_moved = {}, True
+        self._grips = {name: values[name] for name in self._grips}
         return nested(values, self._boxes)
 
+    def hold(self, observation: Observation) -> Action:
+        """Return the action of holding; the devices hold from its first one on."""
+        if not self._held:
+            measured = flat(observation)
+            self._held = {name: self._place(name, measured) for name in self._boxes}
+            self.is_clipped = False
+            if self._was_moved:
+                self._env.hold()
+        return nested({**self._held, **self._grips}, self._boxes)
 
-def _parts(metadata: Metadata) -> list[Part]:
+    def _place(self, name: str, measured: Mapping[str, Array]) -> Array:
+        key = key_of(name)
+        if self._is_absolute and key == XYZRPY:
+            return tquat_to_xyzrpy(measured[name.removesuffix(XYZRPY) + TQUAT])
+        if key in (GRIPPER, HAND) or (self._is_absolute and key in (JOINTS, TQUAT)):
+            return measured[name]
+        return STILL if key == TQUAT else np.zeros(self._boxes[name].shape)
+
+
+def parts_of(metadata: Metadata) -> list[Part]:
+    """Return the parts of an action that a policy announces, with their columns of a chunk.
+
+    Raises:
+        InvalidSetup: A part is of an unknown kind.
+    """
     parts: list[Part] = []
     first = 0
     for spec in metadata.action:
         kind = _KINDS.get(key_of(spec.name))
         if kind is None:
-            raise InvalidSetup(f"Nobody knows how to execute the action {spec.name!r}; valid: {', '.join(_KINDS)}.")
+            raise InvalidSetup(f"The action {spec.name!r} cannot be executed; valid: {', '.join(_KINDS)}.")
         scale, offset = from_unit(spec.unit, unit_of(spec.name)) or (1.0, 0.0)
         parts.append(
             Part(

@@ -1,43 +1,41 @@
-"""A learner that is taught: a teacher says what to do in every state that the student, or it, gets into."""
+"""Imitation of a teacher, which says what to do in every state that the student, or the teacher itself, gets into."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
-from dataclasses import fields, replace
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rcs.agents import Agent
-from rcs.devices import lookup
+from rcs.agents import agent_for
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import FINGER_CONTACTS, IS_GRASPED, PRIVILEGED
 from rcs.envs.step.state import EnvState
 from rcs.envs.vector import VecEnv
-from rcs.errors import CorruptCheckpoint, InvalidSetup
 from rcs.rl.algorithms import Dagger
 from rcs.rl.flat import STATE, Flat
+from rcs.rl.layout import Selection
+from rcs.rl.learner import Learner, env_state_of
+from rcs.rl.networks import make_student
 from rcs.rl.packages import package
-from rcs.rl.selection import Selection
-from rcs.rl.student import make_student
 from rcs.rl.training import Training
 
 _HIDDEN = {"privileged": (PRIVILEGED,), "contacts": (FINGER_CONTACTS, IS_GRASPED)}
-"""Keys of what the teacher observes besides, by the setup's word for it."""
+"""Keys that the teacher observes besides, by the setup's word for them."""
 _EPISODES = 100
 """So many of the student's last episodes are counted."""
+_ACTION = "action"
 
 
 def teaching_setup(setup: Setup) -> Setup:
-    """Return the setup of an environment in which a teacher sees everything."""
+    """Return the setup of an environment in which a teacher observes everything."""
     return replace(setup, observe=(*setup.observe, *(word for word in _HIDDEN if word not in setup.observe)))
 
 
 def student_flat(envs: VecEnv, setup: Setup) -> Flat:
-    """Return the maps of a student: of what the setup observes, without what the teacher sees besides.
+    """Return the maps of a student, which observes what its setup says and no more.
 
     Args:
         envs: Copies of `teaching_setup(setup)`.
@@ -49,33 +47,10 @@ def student_flat(envs: VecEnv, setup: Setup) -> Flat:
     return Flat(envs, Selection(keys=tuple(key for key in space.spaces if key not in hidden)))
 
 
-def teacher_for(envs: VecEnv, name: str) -> Agent:
-    """Return a teacher for copies of an environment.
-
-    Args:
-        envs: The copies.
-        name: Name of an agent, `module:Class`, or the folder of a checkpoint.
-
-    Raises:
-        InvalidSetup: It does not fit the environment, or is no agent.
-        UnknownName: There is no agent of this name.
-        CorruptCheckpoint: The checkpoint is damaged.
-    """
-    if Path(name).is_dir():
-        from rcs.rl.policy import PolicyAgent  # which needs learners to load one
-
-        return PolicyAgent.load(name)
-    made = lookup.find("agent", name)(envs)
-    if not isinstance(made, Agent):
-        raise InvalidSetup(f"The teacher {name!r} is {made!r}; valid is what makes an Agent for many copies.")
-    return made
-
-
-class TaughtLearner:
+class DaggerLearner(Learner):
     """Collects what a teacher would do, and fits a student to it.
 
-    What follows depends on `weights`, `state` and the rows of the replay alone. All that was seen stays in memory: two
-    frames of 64 px are 25 kB a step, 40 000 steps 1 GB.
+    All observations stay in memory: two frames of 64 px are 25 kB a step, 40 000 steps 1 GB.
     """
 
     def __init__(self, training: Training, envs: VecEnv, flat: Flat) -> None:
@@ -88,25 +63,24 @@ class TaughtLearner:
 
         Raises:
             MissingDependency: torch is not installed.
-            InvalidSetup: The teacher does not fit the environment.
+            InvalidSetup: The teacher does not fit the environment, or is no agent.
+            UnknownName: There is no agent of the teacher's name.
+            CorruptCheckpoint: The teacher's checkpoint is damaged.
         """
         algorithm = training.algorithm
         assert isinstance(algorithm, Dagger)
         torch = self._torch = package("torch")
-        self.training, self.envs, self._algorithm = training, envs, algorithm
-        self.flat = flat
-        """The student's maps."""
-        self._teacher = teacher_for(envs, algorithm.teacher)
+        self.training, self.envs, self.flat, self._algorithm = training, envs, flat, algorithm
+        self._teacher = agent_for(envs, algorithm.teacher)  # pyright: ignore[reportArgumentType]  that acts in copies
         self._rng = np.random.default_rng(training.seed)
         torch.manual_seed(training.seed)
         self.policy = make_student(algorithm, self.flat)
-        """The student, a torch module."""
         self._optimiser = torch.optim.AdamW(self.policy.parameters(), lr=algorithm.learning_rate, weight_decay=1e-4)
         copies, layout = training.copies, self.flat.layout
         rows = -(-training.steps // copies) + algorithm.n_steps
-        self._seen: dict[str, NDArray[Any]] = {
+        self.replay = {
             STATE: np.zeros((rows, copies, layout.state_size), np.float32),
-            "action": np.zeros((rows, copies, layout.action_size), np.float32),
+            _ACTION: np.zeros((rows, copies, layout.action_size), np.float32),
             **{image.name: np.zeros((rows, copies, *image.shape), np.uint8) for image in layout.images},
         }
         self._row = 0
@@ -122,11 +96,6 @@ class TaughtLearner:
         return self._row * self.training.copies
 
     @property
-    def is_done(self) -> bool:
-        """Whether all steps of the training were made."""
-        return self.steps >= self.training.steps
-
-    @property
     def _is_warm(self) -> bool:
         return self.steps >= min(self._algorithm.warm_up, self.training.steps)
 
@@ -138,8 +107,8 @@ class TaughtLearner:
         if not self._is_warm:
             return
         if not was_warm:
-            size = self._row * self.training.copies
-            self.policy.take_normal(*(self._seen[name][: self._row].reshape(size, -1) for name in (STATE, "action")))
+            seen = (self.replay[name][: self._row].reshape(self.steps, -1) for name in (STATE, _ACTION))
+            self.policy.set_normalisation(*seen)
         progress = self.steps / self.training.steps
         rate = self._algorithm.learning_rate * 0.5 * (1.0 + np.cos(np.pi * np.clip(2.0 * progress - 1.0, 0.0, 1.0)))
         for group in self._optimiser.param_groups:
@@ -148,18 +117,18 @@ class TaughtLearner:
             self._fit()
 
     def _step(self) -> None:
-        """Keep what the teacher would do now, and do it, or what the student would."""
+        """Remember what the teacher would do, and do it, or what the student would."""
         flat = self.flat.observation(self._observation)
         action = self._teacher.act(self._observation, self._info)
         wanted = self.flat.action_vector(action)
         given = flat if isinstance(flat, dict) else {STATE: flat}
-        for name, rows in {**given, "action": wanted}.items():
-            self._seen[name][self._row] = rows
+        for name, rows in {**given, _ACTION: wanted}.items():
+            self.replay[name][self._row] = rows
         self._row += 1
         if not self._is_taught.all():
             torch = self._torch
             with torch.no_grad():
-                tensors = {name: torch.from_numpy(self._seen[name][self._row - 1]) for name in given}
+                tensors = {name: torch.from_numpy(self.replay[name][self._row - 1]) for name in given}
                 own = self.policy(tensors if isinstance(flat, dict) else tensors[STATE]).numpy()
             action = self.flat.action(np.where(self._is_taught[:, None], wanted, own))
         self._observation, _, terminated, truncated, self._info = self.envs.step(action)
@@ -179,19 +148,14 @@ class TaughtLearner:
         torch = self._torch
         picked = self._rng.integers(0, self.steps, self._algorithm.batch_size)
         where = np.unravel_index(picked, (self._row, self.training.copies))
-        batch = {name: torch.from_numpy(rows[where]) for name, rows in self._seen.items()}
-        wanted = self.policy.wanted(batch.pop("action"))
-        made = self.policy.normal(batch if self.flat.layout.images else batch[STATE])
+        batch = {name: torch.from_numpy(rows[where]) for name, rows in self.replay.items()}
+        wanted = self.policy.targets(batch.pop(_ACTION))
+        made = self.policy.normalised(batch if self.flat.layout.images else batch[STATE])
         loss = torch.nn.functional.smooth_l1_loss(made, wanted, beta=0.1)
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self._optimiser.step()
         self._losses.append(loss.item())
-
-    @property
-    def has_figures(self) -> bool:
-        """Whether there are figures of an update that `figures` has not returned yet."""
-        return bool(self._losses)
 
     def figures(self) -> dict[str, float]:
         """Return the loss since the last call, the share of the teacher, and the student's success in training."""
@@ -203,67 +167,22 @@ class TaughtLearner:
             figures["rollout/success_rate"] = float(np.mean(self._ends))
         return figures
 
-    # --- What decides how it goes on ----------------------------------------------------------------------------------
-
-    def weights(self) -> dict[str, Any]:
-        """Return the weights of the student by name, as tensors."""
-        return dict(self.policy.state_dict())
-
     def state(self) -> dict[str, Any]:
-        """Return everything else but what was seen: optimiser, random numbers, episodes at work."""
-        env = self.envs.get_state()
+        """Return everything but weights and replay: optimiser, random numbers, episodes at work."""
         return {
             "optimiser": self._optimiser.state_dict(),
             "row": self._row,
             "random": self._rng.bit_generator.state,
             "is_taught": self._is_taught,
             "ends": list(self._ends),
-            "environment": {own.name: getattr(env, own.name) for own in fields(env)},
+            "environment": env_state_of(self.envs),
         }
 
-    def load(self, weights: Mapping[str, Any], state: Mapping[str, Any]) -> None:
-        """Go on from what `weights` and `state` returned.
-
-        Raises:
-            CorruptCheckpoint: They are of another learner.
-            InvalidSetup: The state is that of another environment.
-        """
-        try:
-            self.policy.load_state_dict(weights)
-            self._optimiser.load_state_dict(state["optimiser"])
-            self._rng.bit_generator.state = state["random"]
-            self._row, self._is_taught[:] = state["row"], state["is_taught"]
-            self._ends.extend(state["ends"])
-            self._observation = self.envs.set_state(EnvState(**state["environment"]))
-            self._info = {}
-        except (KeyError, TypeError, RuntimeError, AttributeError) as err:
-            raise CorruptCheckpoint(f"The checkpoint is of another learner: {type(err).__name__}: {err}.") from err
-
-    @property
-    def has_replay(self) -> bool:
-        """Whether it learns from steps of long ago."""
-        return True
-
-    def replay_piece(self, first: int) -> tuple[int, int, dict[str, Any]] | None:
-        """Return what was seen since a row: first row, row after the last, and the rows; None for nothing."""
-        if first >= self._row:
-            return None
-        return first, self._row, {name: rows[first : self._row] for name, rows in self._seen.items()}
-
-    def load_replay(self, pieces: Iterable[Mapping[str, Any]]) -> None:
-        """Take back the pieces that `replay_piece` returned, oldest first.
-
-        Raises:
-            CorruptCheckpoint: They are of another learner.
-        """
-        row = 0
-        try:
-            for piece in pieces:
-                count = len(piece["action"])
-                for name, rows in self._seen.items():
-                    rows[row : row + count] = piece[name]
-                row += count
-        except (KeyError, TypeError, ValueError) as err:
-            raise CorruptCheckpoint(f"What was seen is of another learner: {type(err).__name__}: {err}.") from err
-        if row != self._row:
-            raise CorruptCheckpoint(f"{row} rows of what was seen are there; {self._row} were written.")
+    def _load(self, weights: Mapping[str, Any], state: Mapping[str, Any]) -> None:
+        self.policy.load_state_dict(weights)
+        self._optimiser.load_state_dict(state["optimiser"])
+        self._rng.bit_generator.state = state["random"]
+        self._row, self._is_taught[:] = state["row"], state["is_taught"]
+        self._ends.extend(state["ends"])
+        self._observation = self.envs.set_state(EnvState(**state["environment"]))
+        self._info = {}

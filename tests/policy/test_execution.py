@@ -11,9 +11,8 @@ import pytest
 
 from rcs.errors import InvalidSetup
 from rcs.policy import ChunkPlan, Execution
-from rcs.policy.executor import Executor, Flight
-from rcs.policy.inquiry import SimulatedInquiry, ThreadedInquiry
-from rcs.policy.part import Part
+from rcs.policy.execution import Executor
+from rcs.policy.plan import Part, Plan
 
 PERIOD = 1 / 30
 PART = Part("joints", slice(0, 1), "linear")
@@ -23,18 +22,18 @@ class Course:
     """A loop in simulated time with a policy whose rows are a function of time."""
 
     def __init__(self, execution: Execution, horizon: int = 12, rate: float = 30.0) -> None:
-        self.executor = Executor(execution, SimulatedInquiry(execution.latency), PERIOD)
+        self.executor = Executor(execution, PERIOD)
         self.horizon, self.period = horizon, 1 / rate
         self.asked: list[float] = []
-        self.flights: list[Flight | None] = []
+        self.in_flight: list[tuple[Plan | None, float]] = []
         self.error: Exception | None = None
         self.offset: Callable[[float], float] = lambda begin: 0.0
         self.now = 0.0
 
-    def question(self, flight: Flight | None) -> Callable[[], ChunkPlan]:
+    def question(self, plan: Plan | None, delay: float) -> Callable[[], ChunkPlan]:
         now = self.now
         self.asked.append(now)
-        self.flights.append(flight)
+        self.in_flight.append((plan, delay))
 
         def ask() -> ChunkPlan:
             if self.error is not None:
@@ -125,8 +124,8 @@ def test_real_time_chunking_changes_over_without_a_jump() -> None:
 def test_what_is_in_flight_goes_along_with_the_delay_to_expect() -> None:
     course = Course(Execution(mode="rtc", latency=0.1, rows=6))
     course.run(20)
-    assert course.flights[0] is None
-    assert all(flight is not None and flight.delay == pytest.approx(0.1) for flight in course.flights[1:])
+    assert course.in_flight[0] == (None, 0.0)
+    assert all(plan is not None and delay == pytest.approx(0.1) for plan, delay in course.in_flight[1:])
 
 
 def test_an_error_means_hold_at_once_and_another_try_later() -> None:
@@ -148,43 +147,51 @@ def test_without_reconnecting_nobody_is_asked_again() -> None:
     assert len(course.asked) == 1
 
 
-def test_a_thread_answers_while_the_loop_goes_on() -> None:
-    inquiry, gate = ThreadedInquiry("a test"), threading.Event()
-    executor = Executor(Execution(), inquiry, PERIOD)
-    plan = ChunkPlan([PART], np.ones((30, 1)), time=0.0, period=PERIOD)
+def threaded(gate: threading.Event, name: str) -> tuple[Executor, Callable[..., Callable[[], ChunkPlan]]]:
+    """Return an executor with a thread, and questions that are answered once a gate is open, with their number."""
+    executor = Executor(Execution(), PERIOD, name)
 
-    def question(flight: Flight | None) -> Callable[[], ChunkPlan]:
-        def ask() -> ChunkPlan:
+    def question(plan: Plan | None, delay: float) -> Callable[[], ChunkPlan]:
+        value = float(next(numbers))
+
+        def compute() -> ChunkPlan:
             assert gate.wait(10.0)
-            return plan
+            return ChunkPlan([PART], np.full((30, 1), value), time=0.0, period=PERIOD)
 
-        return ask
+        return compute
 
-    assert executor.step(0.0, question) is None
-    gate.set()
+    numbers = iter(range(10))
+    return executor, question
+
+
+def first_command(executor: Executor, question: Callable[..., Callable[[], ChunkPlan]]) -> float | None:
     for _ in range(1000):
         if (command := executor.step(0.1, question)) is not None:
-            break
+            return float(command["joints"][0])
         threading.Event().wait(0.01)
-    assert command is not None
+    return None
+
+
+def test_a_thread_answers_while_the_loop_goes_on() -> None:
+    gate = threading.Event()
+    executor, question = threaded(gate, "a test")
+    assert executor.step(0.0, question) is None
+    gate.set()
+    assert first_command(executor, question) == 0.0
+    assert executor.latency > 0.0
     executor.close()
     assert not any(thread.name == "a test" for thread in threading.enumerate())
 
 
-def test_an_answer_to_a_question_that_was_dropped_comes_to_nobody() -> None:
-    inquiry, gate = ThreadedInquiry("another test"), threading.Event()
-    inquiry.ask(lambda: gate.wait(10.0), 0.0)
-    inquiry.drop()
-    inquiry.ask(lambda: "new", 0.0)
+def test_the_result_of_a_call_before_the_episode_is_dropped() -> None:
+    gate = threading.Event()
+    executor, question = threaded(gate, "another test")
+    assert executor.step(0.0, question) is None
+    executor.reset()
+    assert executor.step(0.0, question) is None
     gate.set()
-    answer = None
-    for _ in range(1000):
-        if (answer := inquiry.answer(0.0)) is not None:
-            break
-        threading.Event().wait(0.01)
-    assert answer is not None
-    assert answer.chunk == "new"
-    inquiry.close()
+    assert first_command(executor, question) == 1.0
+    executor.close()
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,7 @@ import pytest
 from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, UnknownName
-from rcs.rl.algorithms import Bc, Dagger
-from rcs.rl.training import Training
+from rcs.rl import Bc, Dagger, Training
 
 SETUP = Setup(
     task="PickCuboid", frequency=10.0, max_episode_steps=60, layers=("ObserveTarget",), collision_reaction=False
@@ -33,7 +32,7 @@ CAMERAS = replace(SETUP, cameras=Cameras(names=("wrist", "side"), image_size=64)
 def learner(training: Training = TRAINING) -> Any:
     import torch  # pyright: ignore[reportMissingImports]
 
-    from rcs.rl.learners import copies_for, flat_for, learner_for
+    from rcs.rl.train import copies_for, flat_for, learner_for
 
     torch.set_num_threads(1)
     envs = copies_for(training, threads=1)
@@ -48,11 +47,13 @@ def weights(made: Any) -> dict[str, np.ndarray]:
 @pytest.mark.gl
 def test_a_student_with_cameras_sees_nothing_that_only_its_teacher_sees() -> None:
     import rcs
-    from rcs.rl.flat import Flat
+    from rcs.rl import Flat
 
     made = learner(replace(TRAINING, setup=CAMERAS, steps=96))
     tested = rcs.make(CAMERAS)
-    assert not {"privileged", "is_grasped", "finger_contacts"} & {entry.path[0] for entry in made.flat.layout.state}
+    assert not {"privileged", "is_grasped", "finger_contacts"} & {
+        entry.key.partition("/")[0] for entry in made.flat.layout.state
+    }
     assert made.flat.layout == Flat(tested).layout
     while not made.is_done:
         made.advance()
@@ -61,7 +62,7 @@ def test_a_student_with_cameras_sees_nothing_that_only_its_teacher_sees() -> Non
 
 @pytest.mark.extras
 def test_what_the_setup_observes_is_seen_by_the_student_too() -> None:
-    names = {entry.path[0] for entry in learner().flat.layout.state}
+    names = {entry.key.partition("/")[0] for entry in learner().flat.layout.state}
     assert "privileged" in names
     assert "is_grasped" not in names
 
@@ -94,19 +95,18 @@ def test_in_behaviour_cloning_the_teacher_acts_all_the_time_and_in_dagger_ever_l
 
 @pytest.mark.extras
 def test_it_goes_on_from_its_state_to_the_same_weights_bit_for_bit() -> None:
-    from rcs.rl.tensors import from_bytes, to_bytes
+    from rcs.rl.checkpoint import packed, unpacked
 
     first = learner()
     for _ in range(5):
         first.advance()
-    stored = [from_bytes(to_bytes(part), "it") for part in (first.weights(), first.state())]
+    stored = [unpacked(packed(part), Path("it")) for part in (first.weights(), first.state())]
     row, end, rows = first.replay_piece(0)
     assert (row, end) == (0, 40)
-    pieces = [from_bytes(to_bytes({name: own[:24] for name, own in rows.items()}), "it")]
+    pieces = [unpacked(packed({name: own[:24] for name, own in rows.items()}), Path("it"))]
     pieces += [{name: own[24:].copy() for name, own in rows.items()}]
     second = learner()
-    second.load(*stored)
-    second.load_replay(pieces)
+    second.load(*stored, pieces)
     assert second.steps == first.steps
     for made in (first, second):
         while not made.is_done:
@@ -118,8 +118,7 @@ def test_it_goes_on_from_its_state_to_the_same_weights_bit_for_bit() -> None:
 @pytest.mark.extras
 def test_its_checkpoint_acts_as_the_student_and_a_checkpoint_may_be_a_teacher(tmp_path: Path) -> None:
     import rcs
-    from rcs.rl.policy import PolicyAgent
-    from rcs.rl.train import train
+    from rcs.rl import PolicyAgent, train
 
     for _ in train(TRAINING, tmp_path / "run", threads=1, videos=False):
         pass
