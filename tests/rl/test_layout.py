@@ -30,7 +30,7 @@ def test_a_layout_prints_every_number_with_its_unit() -> None:
         (lambda values: values["state"][1].update(colour="red"), "no option of Entry named 'colour'"),
         (lambda values: values["state"][1]["scale"].append(1.0), "'gripper' has 1 offsets and 2 scales"),
         (lambda values: values["state"][1].update(kind="guess"), "kind is 'guess'; valid: 'value', 'turn'"),
-        (lambda values: values["state"][1].update(scale=[0.0]), "valid: a sequence .* above 0"),
+        (lambda values: values["state"][1].update(scale=[0.0]), "scale is .*; valid: a sequence.* above 0"),
         (lambda values: values.update(images=[{"key": "a", "name": "a", "shape": [3, 4]}]), "shape is"),
     ],
 )
