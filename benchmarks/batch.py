@@ -83,7 +83,7 @@ def main(options: Options) -> None:
         for _ in range(options.steps)
     ]
     envs.reset(seed=0)
-    world = envs.scenario.world
+    world = envs.simulation.world
     batch = Batch(world.model, options.copies, threads)
     starts = np.empty((options.steps, *world.core.states.shape))
     controls = np.empty((options.steps, *world.ctrl.shape))

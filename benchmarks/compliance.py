@@ -85,7 +85,7 @@ def off(env: Any, robot: str, compliance: rcs.Compliance, push: Push) -> float:
 
 def simulated(env: Any) -> Push:
     """Return what pushes the TCP of a simulated arm."""
-    robot = env.scenario.robots[0]
+    robot = env.simulation.robots[0]
     data, site = robot.world.data, robot.layout.tcp_site
     body = robot.world.model.site_bodyid[site]
 

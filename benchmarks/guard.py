@@ -87,7 +87,7 @@ class Judge:
     """Says how near a robot comes to anything, by `mj_collision` alone."""
 
     def __init__(self, env: rcs.envs.Env) -> None:
-        world, robots = env.scenario.world, list(env.robots.values())
+        world, robots = env.simulation.world, list(env.robots.values())
         self.model = model = world.model
         self.data = mujoco.MjData(model)
         self.data.qpos[:] = world.qpos
@@ -247,7 +247,7 @@ def measure(robot: str, motions: int, seed: int) -> dict[str, Any]:
     guard = Guard(margin=MARGIN, near_margin=NEAR_MARGIN, touch=())
     env = rcs.make(Obstacles, robot=robot, stepping="sync", gates=[guard])
     env.reset(seed=seed)
-    world, random, judge = env.scenario.world, np.random.default_rng(seed), Judge(env)
+    world, random, judge = env.simulation.world, np.random.default_rng(seed), Judge(env)
     names = list(env.robots) if len(env.robots) > 1 else [""]
     opening = np.ones(1, np.float32)
 
@@ -272,7 +272,7 @@ def measure(robot: str, motions: int, seed: int) -> dict[str, Any]:
                 continue
             counts[kind] += 1
             counts["thin"] += touches and judge.at(goal) > 0.0
-        for robot, joints in zip(env.scenario.robots, np.split(start, len(names)), strict=True):
+        for robot, joints in zip(env.simulation.robots, np.split(start, len(names)), strict=True):
             robot.put(joints, opening)
         world.data.mocap_pos[:], world.data.mocap_quat[:] = judge.data.mocap_pos, judge.data.mocap_quat
         measured = by_robot(start)
@@ -300,10 +300,10 @@ class Witness:
     """Sees every contact that a robot has in any physics step, and how near it comes when that is asked for."""
 
     def __init__(self, env: rcs.envs.Env) -> None:
-        world = env.scenario.world
+        world = env.simulation.world
         self.judge, self._data, self._model = Judge(env), world.data, world.model
         names = [self._model.body(body).name for body in self._model.geom_bodyid]
-        objects = env.scenario.task.objects()
+        objects = env.simulation.task.objects()
         self._is_object = np.array([name in objects for name in names])
         hands = [robot.gripper_prefix for robot in env.robots.values()]
         self._hand = np.array(
@@ -338,7 +338,7 @@ class Witness:
 
     def would_keep_apart(self, env: rcs.envs.Env, asked: list[NDArray[np.float64]]) -> bool:
         """Return whether a step that was refused, executed, would have kept all distances and `SAMPLING`."""
-        core, robots = env.scenario.world.core, env.scenario.robots
+        core, robots = env.simulation.world.core, env.simulation.robots
         saved = core.save(0)
         self.least, self.is_measuring = np.inf, True
         for robot, joints in zip(robots, asked, strict=True):

@@ -28,8 +28,8 @@ def hit(robot: str, speed: float) -> dict[str, float | str]:
     """Send the open gripper straight down; return the peak force [N] and when it and the reaction came [s]."""
     form: dict[str, Any] = {"control": "tquat", "relative": False, "max_episode_steps": None}
     env: Any = rcs.make("PickCuboid", robot=robot, frequency=FREQUENCY, **form)
-    world = env.scenario.world
-    arm = world.subtree_flags(env.scenario.robots[0].placement.base_body)
+    world = env.simulation.world
+    arm = world.subtree_flags(env.simulation.robots[0].placement.base_body)
     force = world.read_force(arm, 1 - arm)
     observation, _ = env.reset(seed=0)
     target, period = observation["tquat"].copy(), world.period

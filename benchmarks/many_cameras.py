@@ -227,7 +227,7 @@ def draw_live(parts: Parts, count: int, options: Options, *, in_thread: bool) ->
     setup = replace(parts.setup, stepping="realtime", frequency=options.loop_hz)
     env = assemble(replace(parts, setup=setup), is_blind=True)
     env.reset(seed=0)
-    world, placements = env.scenario.world, list(parts.cameras[:count])
+    world, placements = env.simulation.world, list(parts.cameras[:count])
     cameras = SimCameras(world, placements, size=(WIDTH, HEIGHT))
     clock = FrameClock(world, {placement.name: FrameRate(fps=options.camera_hz) for placement in placements})
     feed = RenderThread(cameras, clock) if in_thread else CameraFeed(cameras, clock)

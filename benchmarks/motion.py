@@ -61,10 +61,10 @@ class Log:
 
     def __init__(self, env: Env) -> None:
         """Watch the only robot of an environment."""
-        self.robot: SimRobot = env.scenario.robots[0]
+        self.robot: SimRobot = env.simulation.robots[0]
         self._rows: list[NDArray[np.float64]] = []
         self.physics_step = float(self.robot.world.model.opt.timestep)
-        env.scenario.world.on_period(self._note, self.physics_step)
+        env.simulation.world.on_period(self._note, self.physics_step)
 
     def _note(self, view: Any) -> bool:
         ids = self.robot.layout
@@ -100,7 +100,7 @@ def over(values: NDArray[np.float64], limits: tuple[float, ...]) -> float:
 def make(robot: str, stepping: str, **fields: Any) -> Env:
     """Make an empty scene without contacts: what is measured is how arms move, not what they hit."""
     env = rcs.make("Free", robot=robot, stepping=stepping, relative="absolute", max_episode_steps=None, **fields)
-    env.scenario.world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    env.simulation.world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     return env
 
 
@@ -119,10 +119,10 @@ def steps(env: Env, log: Log) -> dict[str, float]:
             home = observation["joints"]
             target = np.clip(home + sign * size, box.low + 0.02, box.high - 0.02)
             log.take() if log._rows else None
-            start = env.scenario.world.time.item()
-            for _ in range(1 if env.scenario.world.stepping == "sync" else 150):
+            start = env.simulation.world.time.item()
+            for _ in range(1 if env.simulation.world.stepping == "sync" else 150):
                 env.step(filled(env, "joints", target))
-            took = env.scenario.world.time.item() - start
+            took = env.simulation.world.time.item() - start
             rows = log.take()
             reached = rows[3] - target
             past = np.where(target > home, reached, -reached).max()
@@ -132,7 +132,7 @@ def steps(env: Env, log: Log) -> dict[str, float]:
             led = int(np.argmax((np.abs(rows[0] - target) < 1e-9).all(axis=1))) * log.physics_step
             one = peaks(rows, log.robot, log.physics_step)
             one |= {"overshoot_deg": float(np.degrees(max(past, 0.0))), "settling_s": float(settled - led)}
-            one |= {"step_of_2_rad_s": took if size == 2.0 and env.scenario.world.stepping == "sync" else 0.0}
+            one |= {"step_of_2_rad_s": took if size == 2.0 and env.simulation.world.stepping == "sync" else 0.0}
             found = {key: max(value, found.get(key, 0.0)) for key, value in one.items()}
     return found
 
@@ -204,7 +204,7 @@ def moves(robot: str, stepping: str, frequency: float) -> dict[str, float]:
                 if size < 1e-3:
                     continue
                 env.reset(seed=0)
-                env.scenario.robots[0].put(home)
+                env.simulation.robots[0].put(home)
                 target = home.copy()
                 target[joint] += sign * size
                 log.take() if log._rows else None
@@ -225,7 +225,7 @@ def straight(robot: str, control: str, *, is_absolute: bool) -> dict[str, float]
     """Move the TCP by 5 cm in one target, or for a third of a second by the largest relative action."""
     relative = {"relative": "absolute"} if is_absolute else {}
     env = rcs.make("Free", robot=robot, control=control, max_episode_steps=None, **relative)
-    env.scenario.world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    env.simulation.world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     along = np.array(DIRECTIONS[robot], float)
     observation, _ = env.reset(seed=0)
     start, seen = observation["tquat"][:3].copy(), [0.0]

@@ -61,7 +61,7 @@ def main(options: Options) -> None:
     setup = rcs.Setup(task=options.task, robot=options.robot, cameras=tuple(lab.cameras))
     parts = resolve(setup)
     env = assemble(parts, is_blind=True)
-    world = env.scenario.world
+    world = env.simulation.world
     assert world.data is not None
     states = positions_of_an_episode(env)
     camera = next(placement for placement in parts.cameras if placement.name == name)
@@ -99,7 +99,7 @@ def positions_of_an_episode(env: Env) -> NDArray[np.float64]:
     positions, is_over = [], False
     while not is_over:
         observation, _, terminated, truncated, info = env.step(expert.act(observation, info))
-        positions.append(env.scenario.world.qpos.copy())
+        positions.append(env.simulation.world.qpos.copy())
         is_over = terminated or truncated
     return np.array(positions)
 

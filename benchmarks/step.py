@@ -41,7 +41,7 @@ def record(
 ) -> tuple[list[dict[str, NDArray[Any]]], list[list[NDArray[np.float64]]], NDArray[np.float64], NDArray[np.float64]]:
     """Return the actions of an episode, its controls by control and physics step, and its first and last state."""
     env = rcs.make(rcs.Setup())
-    world = env.scenario.world
+    world = env.simulation.world
     controls: list[list[NDArray[np.float64]]] = []
     world.on_period(lambda view: controls[-1].append(view.ctrl.copy()), world.model.opt.timestep)
     expert = agent_for(env)
@@ -65,7 +65,7 @@ def main(options: Options) -> None:
     """Measure and print."""
     actions, controls, start, final = record(options.seed)
     env = rcs.make(rcs.Setup())
-    world = env.scenario.world
+    world = env.simulation.world
     steps = len(actions)
 
     def run_env() -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import rcs
 from rcs.agents import Agent
-from rcs.envs import Action, Env, EpisodeRandom, Judgement, Layer, Observation, Task, Where
+from rcs.envs import Action, CopyIndex, Env, EpisodeRandom, Judgement, Layer, Observation, Task
 from rcs.rollout import Evaluation, Summary
 from rcs.sim import Scene, SimRobot, World
 from rcs.spatial import limit_step
@@ -64,7 +64,7 @@ class PushToLine(Task):
         self._world, self._block = world, FreeBody(world, "block")
         self._pose = world.read_pose("block", robots[0].placement.base_body)
 
-    def reset(self, random: EpisodeRandom, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Lay the block down somewhere: x, y [m] and yaw [rad]."""
         self._block.place(upright(random.uniform([0.45, -0.15, -0.2], [0.6, 0.15, 0.2]), np.array(EDGE / 2)), where)
 

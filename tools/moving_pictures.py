@@ -45,7 +45,7 @@ def episode(task: str, robot: str, seed: int) -> list[NDArray[np.uint8]]:
     """Return pictures of the expert at work."""
     env = rcs.make(task, robot=robot, frequency=FREQUENCY)
     width, height = (OVERSAMPLING * edge for edge in SIZE)
-    picture = Picture(env.scenario.world, size=(width, height), quality="full")
+    picture = Picture(env.simulation.world, size=(width, height), quality="full")
     pictures: list[NDArray[np.uint8]] = []
     steps = 0
 

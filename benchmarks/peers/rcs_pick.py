@@ -27,7 +27,7 @@ def main() -> None:
         envs.step(actions[turn % len(actions)])
         turn += 1
 
-    physics = float(envs.scenario.world.model.opt.timestep)
+    physics = float(envs.simulation.world.model.opt.timestep)
     report(step, copies=copies, control_period=1 / envs.frequency, physics_step=physics, pixels=size)
 
 

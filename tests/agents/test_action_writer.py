@@ -41,7 +41,7 @@ class Halve(Layer):
 def test_an_arm_arrives_also_above_a_layer_that_halves_every_step(control: Any) -> None:
     setup = Setup(task="Free", control=control)
     made = rcs.make(setup)
-    scenario = made.scenario
+    simulation = made.simulation
     kinematics = kinematics_of(FR3, FRANKA_HAND)
     layers: list[Layer] = [
         LimitStep(np.array(FR3.velocity_limit) / 30, np.array(FR3.motion_limits.lead(1 / 30))),
@@ -49,7 +49,7 @@ def test_an_arm_arrives_also_above_a_layer_that_halves_every_step(control: Any) 
     ]
     layers += [CartesianControl(kinematics)] if control == TQUAT else []
     layers += [Relative(control, frequency=30.0, joint_speed=FR3.velocity_limit)]
-    env = Env(Stack(Chain(made.stack.ports, layers)), Clock(scenario.world), scenario)
+    env = Env(Stack(Chain(made.stack.ports, layers)), Clock(simulation.world), simulation)
     observation, info = env.reset(seed=0)
     writer = ActionWriter(setup, env.stack.action_space, kinematics)
     writer.reset(observation)

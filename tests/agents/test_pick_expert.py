@@ -48,7 +48,7 @@ def test_the_expert_grasps_at_every_corner_of_the_workspace_and_every_yaw() -> N
     setup = rcs.Setup()
     env = rcs.make(setup)
     expert = agent_for(env)
-    world = env.scenario.world
+    world = env.simulation.world
     cuboid = int(world.model.joint("cuboid").qposadr[0])
     for x in (0.35, 0.65):
         for y in (-0.2, 0.2):

@@ -23,13 +23,13 @@ def env(request: pytest.FixtureRequest) -> Iterator[Env]:
 
 
 def joints_of(env: Env) -> list[int]:
-    model, robot = env.scenario.world.model, next(iter(env.robots.values()))
+    model, robot = env.simulation.world.model, next(iter(env.robots.values()))
     return [model.joint(robot.prefix + name).id for name in robot.arm.joints]
 
 
 @pytest.fixture
 def checker(env: Env) -> CollisionChecker:
-    world = env.scenario.world
+    world = env.simulation.world
     checker = CollisionChecker(world.model, [joints_of(env)])
     checker.set_state(world.qpos)
     return checker
@@ -40,7 +40,7 @@ def random_joints(checker: CollisionChecker, count: int, seed: int = 0) -> np.nd
 
 
 def data_at(env: Env, checker: CollisionChecker, q: np.ndarray) -> mujoco.MjData:
-    world = env.scenario.world
+    world = env.simulation.world
     data = mujoco.MjData(world.model)
     data.qpos[:] = world.qpos
     data.qpos[world.model.jnt_qposadr[checker.joints]] = q
@@ -89,14 +89,14 @@ def test_clearance_is_the_smallest_distance_of_any_pair(env: Env, checker: Colli
     distances, geoms = checker.clearance_rows(rows, 1.0, threads=2)
     for q, distance, pair in zip(rows, distances, geoms, strict=True):
         data = data_at(env, checker, q)
-        every = [distance_between(env.scenario.world.model, data, a, b) for a, b in checker.pairs]
+        every = [distance_between(env.simulation.world.model, data, a, b) for a, b in checker.pairs]
         assert distance == pytest.approx(min(every), abs=1e-9)
-        own = distance_between(env.scenario.world.model, data, *pair)
+        own = distance_between(env.simulation.world.model, data, *pair)
         assert own == pytest.approx(distance, abs=1e-9)
 
 
 def test_what_is_free_makes_no_contact_of_a_checked_pair(env: Env, checker: CollisionChecker) -> None:
-    model, pairs = env.scenario.world.model, {tuple(pair) for pair in checker.pairs.tolist()}
+    model, pairs = env.simulation.world.model, {tuple(pair) for pair in checker.pairs.tolist()}
     rows = random_joints(checker, 200, seed=2)
     for q, is_free in zip(rows, checker.free_rows(rows), strict=True):
         data = data_at(env, checker, q)
@@ -110,7 +110,7 @@ def test_what_is_free_makes_no_contact_of_a_checked_pair(env: Env, checker: Coll
 
 def test_every_contact_that_joints_can_make_belongs_to_a_checked_pair(env: Env, checker: CollisionChecker) -> None:
     """MuJoCo's own choice of pairs is the reference; a pair that no joint moves has the same distance everywhere."""
-    model, pairs = env.scenario.world.model, {tuple(pair) for pair in checker.pairs.tolist()}
+    model, pairs = env.simulation.world.model, {tuple(pair) for pair in checker.pairs.tolist()}
     always: set[tuple[int, ...]] | None = None
     seen: set[tuple[int, ...]] = set()
     for q in random_joints(checker, 200, seed=3):
@@ -195,7 +195,7 @@ def test_a_motion_into_the_table_names_it(env: Env, checker: CollisionChecker) -
 
 def test_without_geometry_of_a_robot_there_is_an_error(env: Env) -> None:
     with pytest.raises(InvalidSetup, match="no geometry of the robots takes part"):
-        CollisionChecker(env.scenario.world.model, [])
+        CollisionChecker(env.simulation.world.model, [])
 
 
 def test_rows_of_a_wrong_width_are_refused(checker: CollisionChecker) -> None:

@@ -81,7 +81,7 @@ def test_a_step_that_ends_in_a_collision_ends_at_once(stepping: Any) -> None:
     observation, _ = env.reset(seed=0)
     _, (_, _, _, _, info) = go_down(env, observation, -DEPTH, gripper=1.0)
     assert info["end"] == "fault"
-    assert env.scenario.world.substeps[0] < (17 if stepping == "async" else 500)
+    assert env.simulation.world.substeps[0] < (17 if stepping == "async" else 500)
 
 
 @pytest.mark.parametrize(("robot", "end_effector"), ARMS)
@@ -102,8 +102,8 @@ def test_a_grasp_and_setting_down_what_is_held_are_no_collisions(robot: str, end
 def test_a_firm_push_is_no_collision() -> None:
     env = make()
     observation, _ = env.reset(seed=0)
-    world = env.scenario.world
-    hand = world.model.site_bodyid[env.scenario.robots[0].layout.tcp_site]
+    world = env.simulation.world
+    hand = world.model.site_bodyid[env.simulation.robots[0].layout.tcp_site]
     for direction in np.vstack([np.eye(3), -np.eye(3)]):
         for share in np.linspace(0.0, 1.0, 10):
             world.data.xfrc_applied[hand, :3] = 35.0 * share * direction

@@ -50,7 +50,7 @@ def test_reset_options_that_are_no_dictionary_are_refused(options: Any) -> None:
 def test_a_state_beyond_all_that_can_be_simulated_is_refused(value: Any) -> None:
     env = rcs.make("Free")
     env.reset(seed=0)
-    state = env.scenario.world.states().astype(object)
+    state = env.simulation.world.states().astype(object)
     state[3] = value
     with pytest.raises(InvalidSetup, match="'state'"):
         env.reset(options={"state": state})
@@ -70,11 +70,11 @@ def test_an_action_with_masked_values_is_refused() -> None:
 def test_reset_options_with_masked_values_are_refused(option: str) -> None:
     env = rcs.make("PickCuboid")
     observation, _ = env.reset(seed=0)
-    state = env.scenario.world.states()
+    state = env.simulation.world.states()
     given: dict[str, Any] = {
         "state": np.ma.masked_greater(state, -np.inf),
         "robot": {"joints": np.ma.masked_greater(observation["joints"], -np.inf)},
-        "objects": {"cuboid": np.ma.masked_greater(env.scenario.object_poses()["cuboid"], -np.inf)},
+        "objects": {"cuboid": np.ma.masked_greater(env.simulation.object_poses()["cuboid"], -np.inf)},
     }
     with pytest.raises(InvalidSetup, match="masked"):
         env.reset(options={option: given[option]})
@@ -136,10 +136,10 @@ def test_an_episode_can_start_in_a_state() -> None:
     action = env.action_space.sample()
     for _ in range(3):
         env.step(action)
-    state = env.scenario.world.states()
+    state = env.simulation.world.states()
     observation, info = env.reset(seed=9, options={"state": state})
-    np.testing.assert_array_equal(env.scenario.world.states(), state)
-    np.testing.assert_array_equal(observation["joints"], env.scenario.robots[0].joints)
+    np.testing.assert_array_equal(env.simulation.world.states(), state)
+    np.testing.assert_array_equal(observation["joints"], env.simulation.robots[0].joints)
     assert not np.array_equal(info["cuboid"], env.reset(seed=9)[1]["cuboid"])
 
 
@@ -155,7 +155,7 @@ def test_a_simulation_that_diverges_ends_the_episode_and_reset_starts_anew(
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its log there
     env = rcs.make("Free")
     expected, _ = env.reset(seed=0)
-    env.scenario.world.qvel[0] = np.nan
+    env.simulation.world.qvel[0] = np.nan
     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     assert (reward, terminated, truncated, info["end"]) == (0.0, False, True, "diverged")
     assert "huge value in QVEL at DOF 0" in info["faults"]["simulation"]
@@ -302,7 +302,7 @@ def test_an_environment_on_devices_moves_them(make_bench) -> None:
     bench.env.hold()
     assert not bench.arm.is_open
     with pytest.raises(WrongOrder, match="no simulated world"):
-        _ = bench.env.scenario
+        _ = bench.env.simulation
 
 
 def test_a_device_in_fault_stops_all_others(make_bench) -> None:

@@ -44,7 +44,7 @@ def test_looking_changes_nothing() -> None:
         observations = [env.step(action)[0] for env in (one, other)]
         shown(one)
         np.testing.assert_array_equal(observations[0]["joints"], observations[1]["joints"])
-    np.testing.assert_array_equal(one.scenario.world.core.get_state(0), other.scenario.world.core.get_state(0))
+    np.testing.assert_array_equal(one.simulation.world.core.get_state(0), other.simulation.world.core.get_state(0))
 
 
 def test_there_is_no_picture_of_real_devices() -> None:

@@ -258,9 +258,9 @@ def test_simulated_limits_are_those_of_the_description() -> None:
 def test_a_far_target_is_gone_to_at_once_without_turning_back_or_going_past(robot: str, frequency: float) -> None:
     with rcs.make("Free", robot=robot, relative=False, frequency=frequency, max_episode_steps=None) as env:
         observation, _ = env.reset(seed=0)
-        body = env.scenario.robots[0]
+        body = env.simulation.robots[0]
         led: list[NDArray[np.float64]] = []
-        env.scenario.world.on_period(lambda view: led.append(np.array(body.motion.state(view))), 0.002)
+        env.simulation.world.on_period(lambda view: led.append(np.array(body.motion.state(view))), 0.002)
         start = np.array(observation["joints"])
         way = np.zeros_like(start)
         way[0] = 2.0

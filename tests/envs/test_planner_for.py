@@ -15,7 +15,7 @@ def test_a_planner_sees_the_scene_as_it_is_and_looks_again_when_asked() -> None:
         env.reset(seed=0)
         planner = planner_for(env, planner="EST")
         before = planner.checker.clearance(planner.joints, 1.0).distance
-        data = env.scenario.world.data
+        data = env.simulation.world.data
         assert data is not None
         tcp = data.site("fr3/gripper/tcp").xpos
         data.mocap_pos[0] = tcp  # a post where the hand is
@@ -31,7 +31,7 @@ def test_what_is_attached_moves_with_the_gripper() -> None:
         loose = len(planner.checker.pairs)
         planner.attach("cuboid")
         held = {tuple(pair) for pair in planner.checker.pairs.tolist()}
-        cuboid, table = (env.scenario.world.model.geom(name).id for name in ("cuboid", "table top"))
+        cuboid, table = (env.simulation.world.model.geom(name).id for name in ("cuboid", "table top"))
         assert (min(cuboid, table), max(cuboid, table)) in held
         planner.detach("cuboid")
         assert len(planner.checker.pairs) == loose
@@ -48,7 +48,7 @@ def test_one_of_two_robots_is_named_and_the_other_one_is_an_obstacle() -> None:
             planner_for(env, "middle")
         first, second = env.robots
         planner = planner_for(env, first)
-        model = env.scenario.world.model
+        model = env.simulation.world.model
         bodies = {model.body(model.geom_bodyid[g]).name for g in np.unique(planner.checker.pairs)}
         assert any(name.startswith(f"{second}/") for name in bodies)
         assert planner.checker.dof == 7

@@ -84,7 +84,7 @@ def test_shaping_adds_up_to_the_discounted_potential_of_the_end_minus_that_of_th
         if autoreset == "Disabled" and is_over.any():
             envs.reset(options={"reset_mask": is_over})
         if autoreset != "NextStep":
-            starts = np.where(is_over, envs.scenario.task.describe()["progress"], starts)
+            starts = np.where(is_over, envs.simulation.task.describe()["progress"], starts)
             episodes = [[] if over else own for own, over in zip(episodes, is_over, strict=True)]
     assert min(ends.values()) > 0, ends
 
@@ -100,7 +100,7 @@ def test_shaping_adds_up_over_states_that_are_set_and_starts_that_are_given() ->
     _, info = env.reset(seed=0)
     for _ in range(4):
         *_, info = env.step(wander(rng, env.action_space))
-    _, info = env.reset(options={"state": env.scenario.world.states()})
+    _, info = env.reset(options={"state": env.simulation.world.states()})
     start = info["progress"]
     assert start != 0.5, "not that of the home pose"
     rewards = [(env.step(wander(rng, env.action_space))[1], False) for _ in range(3)]
@@ -144,7 +144,7 @@ def test_a_simulation_that_diverges_keeps_its_potential(monkeypatch: pytest.Monk
         env = rcs.make(Wander, discount=DISCOUNT, reward=kind)
         _, info = env.reset(seed=0)
         assert info["progress"] == 0.5
-        env.scenario.world.qvel[0] = np.nan
+        env.simulation.world.qvel[0] = np.nan
         assert env.step(wander(np.random.default_rng(0), env.action_space))[1] == pytest.approx(expected, abs=1e-12)
 
 
@@ -186,7 +186,7 @@ def test_the_dense_reward_has_the_terms_of_pick_cube_and_success_is_worth_what_1
     agent = agent_for(env)
     observation, info = env.reset(seed=1)
     agent.reset(observation, info)
-    world, robot = env.scenario.world, env.scenario.robots[0]
+    world, robot = env.simulation.world, env.simulation.robots[0]
     seen = set()
     while True:
         observation, reward, terminated, _, info = env.step(agent.act(observation, info))
@@ -196,7 +196,7 @@ def test_the_dense_reward_has_the_terms_of_pick_cube_and_success_is_worth_what_1
         away = np.linalg.norm(info["cuboid"][:3] - robot.tcp_tquat[:3])
         reach = 1.0 - 0.5 * (np.tanh(5.0 * away) + np.tanh(25.0 * away))
         corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * info["edges"]
-        height = rcs.Pose.from_tquat(world.poses[env.scenario.task._in_scene]).apply(corners)[:, 2].min()
+        height = rcs.Pose.from_tquat(world.poses[env.simulation.task._in_scene]).apply(corners)[:, 2].min()
         place = np.clip(height / 0.10, 0.0, 1.0)
         is_placed = float(grasped and height >= 0.10)
         static = 1.0 - np.tanh(5.0 * np.linalg.norm(robot.joint_velocities))

@@ -23,21 +23,21 @@ TASKS = {"PickCuboid": "fr3", "PickToy": "xarm7", "LiftBar": "dual_fr3"}
 def test_objects_put_where_they_are_told_to_be_are_where_they_were(task: str, randomisation: Any) -> None:
     env = rcs.make(task, robot=TASKS[task], randomisation=randomisation)
     env.reset(seed=3)
-    state, poses = env.scenario.world.states(), env.scenario.object_poses()
+    state, poses = env.simulation.world.states(), env.simulation.object_poses()
     env.reset(seed=3, options={"objects": poses})
     # The soft toy's yaw is that of a line through its nodes, which sag.
-    np.testing.assert_allclose(env.scenario.world.states(), state, atol=1e-5 if task == "PickToy" else 0.0)
+    np.testing.assert_allclose(env.simulation.world.states(), state, atol=1e-5 if task == "PickToy" else 0.0)
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_objects_are_where_they_are_put(task: str) -> None:
     env = rcs.make(task, robot=TASKS[task])
     env.reset(seed=0)
-    ((name, pose),) = env.scenario.object_poses().items()
+    ((name, pose),) = env.simulation.object_poses().items()
     wanted = pose + np.array([0.03, -0.02, 0.01, 0, 0, 0, 0])
     wanted[3:] = [0.0, 0.0, np.sin(0.1), np.cos(0.1)]
     _, info = env.reset(seed=0, options={"objects": {name: wanted}})
-    np.testing.assert_allclose(env.scenario.object_poses()[name], wanted, atol=1e-4)
+    np.testing.assert_allclose(env.simulation.object_poses()[name], wanted, atol=1e-4)
     told = next(value for key, value in info.items() if key.startswith(name))
     np.testing.assert_allclose(told, wanted, atol=1e-4)
 
@@ -51,7 +51,7 @@ def test_poses_are_in_the_base_frame_of_a_single_robot() -> None:
     wanted = np.array([0.45, 0.1, -0.02, 0.0, 0.0, 0.0, 1.0])
     _, info = env.reset(seed=0, options={"objects": {"cuboid": wanted}})
     np.testing.assert_allclose(info["cuboid"], wanted, atol=1e-12)
-    np.testing.assert_allclose(env.scenario.object_poses()["cuboid"], wanted, atol=1e-12)
+    np.testing.assert_allclose(env.simulation.object_poses()["cuboid"], wanted, atol=1e-12)
 
 
 def test_a_robot_stands_where_it_is_put_and_stays_there() -> None:
@@ -60,9 +60,9 @@ def test_a_robot_stands_where_it_is_put_and_stays_there() -> None:
     observation, _ = env.reset(seed=0, options={"robot": {"joints": joints, "gripper": [0.4]}})
     np.testing.assert_allclose(observation["joints"], joints, atol=1e-12)
     np.testing.assert_allclose(observation["gripper"], 0.4, atol=1e-6)
-    env.scenario.world.advance()
-    np.testing.assert_allclose(env.scenario.robots[0].joints, joints, atol=2e-3)
-    np.testing.assert_allclose(env.scenario.robots[0].opening, 0.4, atol=0.02)
+    env.simulation.world.advance()
+    np.testing.assert_allclose(env.simulation.robots[0].joints, joints, atol=2e-3)
+    np.testing.assert_allclose(env.simulation.robots[0].opening, 0.4, atol=0.02)
 
 
 def test_of_two_robots_one_can_be_put_and_the_other_stays_at_home() -> None:
@@ -107,6 +107,6 @@ def test_a_start_that_makes_no_sense_is_refused(options: dict[str, Any], words: 
 def test_a_state_says_all() -> None:
     env = rcs.make("PickCuboid")
     env.reset(seed=0)
-    state, poses = env.scenario.world.states(), env.scenario.object_poses()
+    state, poses = env.simulation.world.states(), env.simulation.object_poses()
     with pytest.raises(InvalidSetup, match="cannot be combined"):
         env.reset(seed=0, options={"state": state, "objects": poses})

@@ -197,12 +197,12 @@ def test_wrong_reset_options_are_refused(options: dict[str, Any]) -> None:
 def test_a_bad_action_of_one_copy_moves_nothing_in_any_copy(value: float) -> None:
     envs, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
     envs.reset(seed=0)
-    before = envs.scenario.world.states().copy()
+    before = envs.simulation.world.states().copy()
     actions = envs.action_space.sample()
     actions["joints"][1, 4] = value
     with pytest.raises(InvalidAction, match=r"'joints'\[1, 4\]"):
         envs.step(actions)
-    np.testing.assert_array_equal(envs.scenario.world.states(), before)
+    np.testing.assert_array_equal(envs.simulation.world.states(), before)
     with pytest.raises(InvalidAction, match=r"shape \(7,\); valid is \(3, 7\)"):
         envs.step({**actions, "joints": np.zeros(7)})
 
@@ -215,7 +215,7 @@ def test_a_copy_that_diverges_is_truncated_and_the_others_go_on(
     envs.reset(seed=11)
     for copy, single in enumerate(singles):
         single.reset(seed=11 + copy)
-    envs.scenario.world.qvel[1, 0] = np.nan
+    envs.simulation.world.qvel[1, 0] = np.nan
     for step in range(3):
         actions = envs.action_space.sample()
         observation, reward, terminated, truncated, info = envs.step(actions)
@@ -305,10 +305,10 @@ def test_after_an_error_in_a_step_all_copies_start_anew(kind: type[BaseException
         raise kind("a bug")
 
     envs.reset(seed=1)
-    real, envs.scenario.task.evaluate = envs.scenario.task.evaluate, fail
+    real, envs.simulation.task.evaluate = envs.simulation.task.evaluate, fail
     with pytest.raises(kind):
         envs.step(envs.action_space.sample())
-    envs.scenario.task.evaluate = real
+    envs.simulation.task.evaluate = real
     with pytest.raises(WrongOrder, match=kind.__name__):
         envs.step(envs.action_space.sample())
     require_same_bits(envs.reset(seed=5)[0], other.reset(seed=5)[0])
@@ -319,7 +319,7 @@ def test_two_threads_in_one_batch_are_told_apart() -> None:
     envs = rcs.make_vec("PickCuboid", copies=2)
     envs.reset(seed=1)
     refused: list[BaseException] = []
-    evaluate = envs.scenario.task.evaluate
+    evaluate = envs.simulation.task.evaluate
 
     def step_in_another_thread() -> Any:
         def step() -> None:
@@ -332,7 +332,7 @@ def test_two_threads_in_one_batch_are_told_apart() -> None:
         thread.join(10)
         return evaluate()
 
-    envs.scenario.task.evaluate = step_in_another_thread
+    envs.simulation.task.evaluate = step_in_another_thread
     envs.step(envs.action_space.sample())
     assert len(refused) == 1
 
@@ -345,7 +345,7 @@ def test_an_error_while_a_copy_starts_anew_breaks_all_episodes_off(monkeypatch: 
         def fail(*_: Any) -> None:
             raise OSError("no answer")
 
-        broken.setattr(envs.scenario, "begin", fail)
+        broken.setattr(envs.simulation, "begin", fail)
         with pytest.raises(OSError, match="no answer"):
             envs.step(envs.action_space.sample())
     with pytest.raises(WrongOrder, match="OSError broke the episode off"):

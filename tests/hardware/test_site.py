@@ -201,7 +201,7 @@ def test_an_arm_moves_as_told_and_its_body_in_the_world_follows() -> None:
     step = {"joints": np.full(7, 0.005), "gripper": np.zeros(1, np.float32)}
     for _ in range(20):
         observation, *_ = env.step({"left": step, "right": step})
-    left, right = (robot.joints for robot in env.scenario.robots)
+    left, right = (robot.joints for robot in env.simulation.robots)
     for side in ("left", "right"):
         assert np.abs(observation[side]["joints"] - start[side]["joints"] - 0.1).max() < 0.05
     assert np.abs(left - observation["left"]["joints"]).max() < 0.05

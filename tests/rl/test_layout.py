@@ -94,7 +94,7 @@ def test_spaces_without_numbers_or_bounds_are_refused() -> None:
 @pytest.mark.parametrize("robot", ["fr3", "ur5e", "so101", "xarm7"])
 def test_positions_are_measured_from_the_middle_of_the_task_s_area(robot: str) -> None:
     env = rcs.make("Free" if robot == "xarm7" else "PickCuboid", robot=robot)
-    area, placement = env.scenario.task.area, env.robots[robot]
+    area, placement = env.simulation.task.area, env.robots[robot]
     scales = Scales(env.robots, area)
     offset, scale = (numbers[:3] for numbers in scales.of(keys.TQUAT, keys.tquat_space()))
     mount = placement.base_in_scene

@@ -32,7 +32,7 @@ def test_without_the_package_the_error_names_the_extra(monkeypatch: pytest.Monke
 
 def succeed_at(monkeypatch: pytest.MonkeyPatch, envs: VecEnv, copy: int, steps: list[int]) -> None:
     """Have the task say that a copy has succeeded in some calls, which ends its episode."""
-    task = envs.scenario.task
+    task = envs.simulation.task
     judge: Callable[[], Any] = task.evaluate
     calls = iter(range(10**6))
 
@@ -180,7 +180,7 @@ def test_a_copy_that_diverged_is_not_bootstrapped(monkeypatch: pytest.MonkeyPatc
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its log there
     learner = Sb3VecEnv(copies())
     learner.reset()
-    learner.envs.scenario.world.qvel[1, 0] = np.nan
+    learner.envs.simulation.world.qvel[1, 0] = np.nan
     observation, _, done, infos = learner.step(np.zeros((COPIES, *learner.action_space.shape)))
     np.testing.assert_array_equal(done, [False, True, False])
     assert infos[1]["end"] == "diverged"

@@ -136,6 +136,6 @@ def test_all_devices_hold_when_the_agent_breaks_the_episode_off(error: type[Base
     env = rcs.make("Free", relative=False)
     with pytest.raises(error):
         run_episode(env, Fails(env))
-    robot = env.scenario.robots[0]
+    robot = env.simulation.robots[0]
     np.testing.assert_array_equal(robot.joint_targets, robot.joints)  # and not on the way to the last target
     env.close()

@@ -108,7 +108,7 @@ def run(collection: Collection) -> Progress:
 def place_of(seed: int) -> np.ndarray:
     with rcs.make(SETUP) as env:
         env.reset(seed=seed)
-        return env.scenario.object_poses()["cuboid"]
+        return env.simulation.object_poses()["cuboid"]
 
 
 def test_a_person_agrees_once_places_the_object_where_the_seed_has_it_and_judges(tmp_path: Path, say) -> None:

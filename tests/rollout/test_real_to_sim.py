@@ -91,11 +91,11 @@ def other_world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Episodes of a world that is not quite the simulated one."""
     out = tmp_path_factory.mktemp("real") / "simulated"
     env = rcs.make(SETUP)
-    model = env.scenario.world.model
+    model = env.simulation.world.model
     model.geom_friction[:, 0] *= 0.8
     model.dof_damping[:] *= 1.5
     model.body_mass[model.body("cuboid").id] *= 1.3
-    arm = env.scenario.robots[0].layout.actuator_ids
+    arm = env.simulation.robots[0].layout.actuator_ids
     model.actuator_gainprm[arm, 0] *= 0.8
     model.actuator_biasprm[arm, 1] *= 0.8
     for _ in collect(Collection(setup=SETUP, out=out, episodes=EPISODES, seed=3), Progress(), env):

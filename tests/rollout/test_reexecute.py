@@ -69,7 +69,7 @@ def test_each_deviation_is_measured_where_it_is() -> None:
 def test_another_world_is_seen_as_a_deviation(tmp_path: Path) -> None:
     setup = rcs.Setup(cameras=())
     env = rcs.make(setup)
-    env.scenario.world.model.jnt_actfrcrange[env.scenario.robots[0].layout.joint_ids] *= 0.1  # a weak arm
+    env.simulation.world.model.jnt_actfrcrange[env.simulation.robots[0].layout.joint_ids] *= 0.1  # a weak arm
     for _ in collect(Collection(setup=setup, out=tmp_path / "source", episodes=1, seed=1), Progress(), env):
         pass
     (result,) = run(source=tmp_path / "source", out=tmp_path / "out")

@@ -96,7 +96,7 @@ def test_control_steps_last_what_the_frequency_says() -> None:
     env.reset(seed=0)
     for _ in range(5):
         env.step(env.action_space.sample())
-    world = env.scenario.world
+    world = env.simulation.world
     assert float(world.time) == pytest.approx(0.25, abs=1e-9)
     assert world.model.opt.timestep == 0.001
 

@@ -36,7 +36,7 @@ def positions(server: viser.ViserServer) -> dict[str, np.ndarray]:
 def test_bodies_are_where_the_state_has_them(server: viser.ViserServer, task: str, robot: str) -> None:
     env = rcs.make(task, robot=robot)
     env.reset(seed=0)
-    world = env.scenario.world
+    world = env.simulation.world
     scene = BrowserScene(server, world, list(env.robots.values()))
     for _ in range(3):
         env.step(env.action_space.sample())
@@ -65,13 +65,13 @@ def test_looking_changes_nothing_in_the_simulation(server: viser.ViserServer) ->
         env = rcs.make("PickToy", robot="xarm7")
         env.reset(seed=1)
         env.action_space.seed(0)
-        scene = BrowserScene(server, env.scenario.world, list(env.robots.values())) if is_seen else None
+        scene = BrowserScene(server, env.simulation.world, list(env.robots.values())) if is_seen else None
         for _ in range(20):
             env.step(env.action_space.sample())
             if scene is not None:
                 scene.has_contacts = True
                 scene.show()
-        states.append(env.scenario.world.states())
+        states.append(env.simulation.world.states())
         env.close()
     np.testing.assert_array_equal(*states)
 
@@ -79,7 +79,7 @@ def test_looking_changes_nothing_in_the_simulation(server: viser.ViserServer) ->
 def test_nothing_is_sent_while_nothing_moves(server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch) -> None:
     env = rcs.make("PickToy", robot="xarm7")
     env.reset(seed=0)
-    scene = BrowserScene(server, env.scenario.world, list(env.robots.values()))
+    scene = BrowserScene(server, env.simulation.world, list(env.robots.values()))
     sent: list[object] = []
     monkeypatch.setattr(server._websock_server, "queue_message", sent.append)
     scene.show()
@@ -93,7 +93,7 @@ def test_nothing_is_sent_while_nothing_moves(server: viser.ViserServer, monkeypa
 def test_another_colour_is_shown_after_a_reset(server: viser.ViserServer) -> None:
     env = rcs.make("PickCuboid", robot="fr3", randomisation=True)
     env.reset(seed=0)
-    scene = BrowserScene(server, env.scenario.world, list(env.robots.values()))
+    scene = BrowserScene(server, env.simulation.world, list(env.robots.values()))
 
     def colours() -> dict[str, tuple[int, ...]]:
         nodes = server.scene._handle_from_node_name
@@ -113,5 +113,5 @@ def test_another_colour_is_shown_after_a_reset(server: viser.ViserServer) -> Non
 def test_many_copies_are_refused(server: viser.ViserServer) -> None:
     envs = rcs.make_vec("PickCuboid", copies=2)
     with pytest.raises(InvalidSetup, match="one copy"):
-        BrowserScene(server, envs.scenario.world, [])
+        BrowserScene(server, envs.simulation.world, [])
     envs.close()

@@ -36,8 +36,8 @@ def stay(env: Any, observation: Any, *, steps: int = 60, **change: Any) -> Any:
 def test_torques_hold_the_weight_and_what_pushes(robot: str, end_effector: str | None) -> None:
     env = make(robot=robot, end_effector=end_effector)
     observation, _ = env.reset(seed=0)
-    world = env.scenario.world
-    model, data, layout = world.model, world.data, env.scenario.robots[0].layout
+    world = env.simulation.world
+    model, data, layout = world.model, world.data, env.simulation.robots[0].layout
     hand, dofs = model.site_bodyid[layout.tcp_site], model.jnt_dofadr[layout.joint_ids]
     base = data.xmat[layout.base_body].reshape(3, 3)
     for push in (np.zeros(6), np.array([3.0, -2.0, 5.0, 0.2, 0.1, -0.1])):
@@ -73,7 +73,7 @@ def grasped(env: Any, seed: int = 0) -> Any:
     pose = np.array([*tcp[:3], 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
     observation, _ = env.reset(seed=seed, options={"objects": {"cuboid": pose}})
     # It floats until the gripper has closed.
-    gravcomp, body = env.scenario.world.model.body_gravcomp, env.scenario.world.model.body("cuboid").id
+    gravcomp, body = env.simulation.world.model.body_gravcomp, env.simulation.world.model.body("cuboid").id
     gravcomp[body] = 1.0
     observation = stay(env, observation, steps=30, gripper=np.zeros(1, np.float32))
     gravcomp[body] = 0.0
@@ -82,7 +82,7 @@ def grasped(env: Any, seed: int = 0) -> Any:
 
 def test_a_mass_that_hangs_in_the_gripper_weighs_what_it_weighs() -> None:
     env = make("PickCuboid")
-    world = env.scenario.world
+    world = env.simulation.world
     mass = world.model.body("cuboid").mass[0]
     observation = grasped(env)
     assert observation["is_grasped"] == [1]
@@ -90,13 +90,13 @@ def test_a_mass_that_hangs_in_the_gripper_weighs_what_it_weighs() -> None:
     force, moment = observation["tcp_wrench"][:3], observation["tcp_wrench"][3:]
     # The pads press with 30 N each; these forces cancel out.
     np.testing.assert_allclose(force, [0.0, 0.0, -mass * GRAVITY], atol=0.02)
-    offset = world.data.body("cuboid").xipos - world.data.site_xpos[env.scenario.robots[0].layout.tcp_site]
+    offset = world.data.body("cuboid").xipos - world.data.site_xpos[env.simulation.robots[0].layout.tcp_site]
     np.testing.assert_allclose(moment, np.cross(offset, [0.0, 0.0, -mass * GRAVITY]), atol=2e-3)
 
 
 def test_the_arm_carries_what_it_holds() -> None:
     env = make("PickCuboid")
-    world, layout = env.scenario.world, env.scenario.robots[0].layout
+    world, layout = env.simulation.world, env.simulation.robots[0].layout
     observation = stay(env, grasped(env), steps=60, gripper=np.zeros(1, np.float32))
     jacobian = np.zeros((6, world.model.nv))
     mujoco.mj_jacSite(world.model, world.data, jacobian[:3], jacobian[3:], layout.tcp_site)
@@ -178,10 +178,10 @@ def test_copies_measure_what_one_world_measures() -> None:
 
 def test_what_does_not_fit_the_model_is_refused() -> None:
     env, other = make(), make("PickCuboid", robot="ur5e")
-    layout, model = env.scenario.robots[0].layout, env.scenario.world.model
+    layout, model = env.simulation.robots[0].layout, env.simulation.world.model
     arm = ArmBody(model, layout.joint_ids, layout.tcp_site, layout.base_body)
     with pytest.raises(InvalidSetup, match="another model"):
-        other.scenario.world.core.measure(ArmLoads(arm))
+        other.simulation.world.core.measure(ArmLoads(arm))
     for joints in ([], [-1], [10**6]):
         with pytest.raises(InvalidSetup, match="joint"):
             ArmBody(model, joints, layout.tcp_site, layout.base_body)
@@ -191,7 +191,7 @@ def test_what_does_not_fit_the_model_is_refused() -> None:
         FingerContacts(model, [np.zeros(2, np.uint8)], np.zeros(model.ngeom, np.uint8), 0.5)
     limits = [10.0] * 7, (1.0,) * 6, False, 0.0, 0.0
     with pytest.raises(InvalidSetup, match="another model"):
-        other.scenario.world.core.fault_when(CollisionReaction(arm, *limits, 1))
+        other.simulation.world.core.fault_when(CollisionReaction(arm, *limits, 1))
     with pytest.raises(InvalidSetup, match="for 7 joints"):
         CollisionReaction(arm, [10.0], *limits[1:], 1)
     with pytest.raises(InvalidSetup, match="above 0"):
@@ -205,12 +205,12 @@ def test_what_does_not_fit_the_model_is_refused() -> None:
 
 def test_only_bodies_that_are_free_have_their_velocity_measured() -> None:
     env, other = make("PickCuboid"), make("PickToy")
-    model = env.scenario.world.model
-    hinge, free = env.scenario.robots[0].layout.joint_ids[0], model.joint("cuboid").id
+    model = env.simulation.world.model
+    hinge, free = env.simulation.robots[0].layout.joint_ids[0], model.joint("cuboid").id
     for joint in (hinge, -1, 10**6):
         with pytest.raises(InvalidSetup, match="no free joint"):
             FreeBodyVelocity(model, joint, 0)
     with pytest.raises(InvalidSetup, match="frame"):
         FreeBodyVelocity(model, free, 10**6)
     with pytest.raises(InvalidSetup, match="another model"):
-        other.scenario.world.core.measure(FreeBodyVelocity(model, free, 0))
+        other.simulation.world.core.measure(FreeBodyVelocity(model, free, 0))

@@ -106,7 +106,7 @@ def test_its_frames_are_those_that_mujocos_camera_in_the_file_draws() -> None:
     parts = parts_with(add_cameras, "eye", "beside", cameras=rcs.Cameras(image_size=(64, 48), depth=True))
     env = assemble(parts)
     observation, _ = env.reset(seed=0)
-    world = env.scenario.world
+    world = env.simulation.world
     renderer = Renderer(world.model, quality="fast", max_width=64, max_height=48)
     assert world.data is not None
     renderer.update(world.data)

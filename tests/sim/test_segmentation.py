@@ -36,7 +36,7 @@ def rays_of(frame: dict[str, Any], eye: np.ndarray[Any, Any]) -> np.ndarray[Any,
 
 def cast(env: rcs.envs.Env, camera: str, frame: dict[str, Any]) -> np.ndarray[Any, Any]:
     """Return the number in `geoms` of what a ray through each pixel hits, (H, W)."""
-    model, data = env.scenario.world.model, env.scenario.world.data
+    model, data = env.simulation.world.model, env.simulation.world.data
     assert data is not None
     number = next(i for i in range(model.ncam) if model.camera(i).name.startswith(f"{camera}/"))
     rays = np.ascontiguousarray(rays_of(frame, data.cam_xmat[number].reshape(3, 3) * [1, -1, -1]))
@@ -86,7 +86,7 @@ def test_every_pixel_of_every_lab_is_what_a_ray_hits(robot: str, quality: Any) -
 
 def test_names_tell_robots_end_effectors_objects_and_cameras_apart() -> None:
     env = rcs.make("PickCuboid", robot="fr3", cameras=rcs.Cameras("side", **WHOLE))
-    model = env.scenario.world.model
+    model = env.simulation.world.model
     labels = Labels(model)
     assert {"table", "cuboid", "fr3", "fr3/gripper", "side", "floor"} <= set(labels.instances)
     assert labels.instances[0] == labels.geoms[0] == "background"

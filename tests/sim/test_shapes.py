@@ -59,7 +59,7 @@ def test_what_mujoco_shows_is_there_once_in_the_same_place_and_colour(task: str,
     env = rcs.make(task, robot=robot)
     env.reset(seed=3)
     env.step(env.action_space.sample())
-    model, data = env.scenario.world.model, env.scenario.world.data
+    model, data = env.simulation.world.model, env.simulation.world.data
     assert data is not None
     mujoco.mj_kinematics(model, data)
     shapes = shapes_of(model, data)
@@ -133,7 +133,7 @@ def test_a_new_colour_is_a_new_look_and_nothing_else_is() -> None:
 def test_a_soft_body_is_its_outer_surface_where_its_vertices_are() -> None:
     env = rcs.make("PickToy", robot="xarm7")
     env.reset(seed=0)
-    model, data = env.scenario.world.model, env.scenario.world.data
+    model, data = env.simulation.world.model, env.simulation.world.data
     assert data is not None
     mujoco.mj_flex(model, data)
     (toy,) = (shape for shape in shapes_of(model, data) if shape.flex is not None)

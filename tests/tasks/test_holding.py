@@ -57,7 +57,7 @@ def test_a_hold_of_one_second_lasts_one_second_however_the_world_is_stepped(step
 
 
 def test_a_timer_starts_anew_when_a_place_moves_too_far() -> None:
-    world = rcs.make("Free").scenario.world
+    world = rcs.make("Free").simulation.world
     timer = HoldTimer(world, 1.0, 0.01, places=1)
     yes, ends = np.True_, []
     for step in range(40):
@@ -72,7 +72,7 @@ def test_a_timer_starts_anew_when_a_place_moves_too_far() -> None:
 def test_a_cuboid_that_is_thrown_up_is_not_held() -> None:
     env = rcs.make("PickCuboid", task_options={"hold_time": 0.1})
     env.reset(seed=0)
-    world = env.scenario.world
+    world = env.simulation.world
     first = int(world.model.joint("cuboid").dofadr[0])
     world.qvel[first + 2] = 4.0
     infos = results(env, 1.5, opening=1.0)
@@ -122,7 +122,7 @@ def test_a_cuboid_that_lies_on_closed_fingers_is_not_grasped_however_heavy_it_is
     joints[5] += np.pi / 2  # the fingers point forward, side by side
     tcp = kinematics_of(robot.arm, robot.end_effector).forward(joints)
     assert abs(tcp.matrix[2, 1]) < 1e-6
-    world = env.scenario.world
+    world = env.simulation.world
     world.model.body("cuboid").mass[:] *= factor
     # Their tops are 9 mm above the TCP.
     pose = Pose(tcp.translation + [0.0, 0.0, 0.0092 + 0.0288], (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))
@@ -139,7 +139,7 @@ def test_both_ends_of_the_bar_must_be_high(tilt: float, height: float, is_succes
     env = rcs.make("LiftBar", robot="dual_fr3")
     pose = Pose.from_rpy((0.5, 0.0, height), (np.deg2rad(tilt), 0.0, 0.0)).tquat
     env.reset(seed=0)
-    task, world = env.scenario.task, env.scenario.world
+    task, world = env.simulation.task, env.simulation.world
     task.place({"bar": pose}, ...)
     world.refresh()
     monkeypatch.setattr(task._grip, "grasps", lambda: np.ones(2, np.bool_))
@@ -151,7 +151,7 @@ def test_both_ends_of_the_bar_must_be_high(tilt: float, height: float, is_succes
 def test_a_toy_at_home_that_nobody_touches_is_not_held() -> None:
     env = rcs.make("PickToy", robot="xarm7", max_episode_steps=None)
     env.reset(seed=0)
-    world, task = env.scenario.world, env.scenario.task
+    world, task = env.simulation.world, env.simulation.task
     nodes = world.qpos[task._qpos].copy()
     nodes[2::3] += 0.3
     for _ in range(40):

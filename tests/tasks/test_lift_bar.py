@@ -49,13 +49,13 @@ def test_a_step_of_one_arm_leaves_the_other_where_it_is() -> None:
 def test_a_bad_action_of_one_arm_moves_neither() -> None:
     env = rcs.make(SETUP)
     env.reset(seed=0)
-    before = env.scenario.world.states().copy()
+    before = env.simulation.world.states().copy()
     action = still(env)
     action["left"]["joints"][0] = 0.05
     action["right"]["joints"][3] = np.nan
     with pytest.raises(InvalidAction, match=r"Robot 'right'.*joints"):
         env.step(action)
-    np.testing.assert_array_equal(env.scenario.world.states(), before)
+    np.testing.assert_array_equal(env.simulation.world.states(), before)
     with pytest.raises(InvalidAction, match=r"one action per robot.*left.*right"):
         env.step({"left": action["left"]})
 

@@ -28,8 +28,8 @@ def test_posts_stand_around_the_cuboid_and_leave_everything_else_as_it_is() -> N
         for seed in range(5):
             plain, with_posts = bare.reset(seed=seed)[1], env.reset(seed=seed)[1]
             np.testing.assert_array_equal(plain["cuboid"], with_posts["cuboid"])
-            apart = np.linalg.norm(posts(env.scenario.world)[:, :2] - with_posts["cuboid"][:2], axis=1)
-            standing = posts(env.scenario.world)[:, 2] > 0.0
+            apart = np.linalg.norm(posts(env.simulation.world)[:, :2] - with_posts["cuboid"][:2], axis=1)
+            standing = posts(env.simulation.world)[:, 2] > 0.0
             assert standing.any()
             assert (apart[standing] >= NEAREST - 1e-9).all()
             assert (apart[standing] <= FARTHEST + 1e-9).all()
@@ -41,7 +41,7 @@ def test_copies_have_the_posts_of_single_environments() -> None:
         batch.reset(seed=5)
         for i in range(3):
             env.reset(seed=5 + i)
-            np.testing.assert_array_equal(posts(batch.scenario.world)[i], posts(env.scenario.world))
+            np.testing.assert_array_equal(posts(batch.simulation.world)[i], posts(env.simulation.world))
 
 
 @pytest.mark.parametrize("count", [-1, 9])
@@ -53,7 +53,7 @@ def test_a_number_of_posts_that_does_not_fit_is_refused(count: int) -> None:
 @pytest.mark.parametrize("robot", ["fr3", "ur5e", "so101"])
 def test_posts_leave_the_robot_room_at_home(robot: str) -> None:
     with rcs.make("PickCuboid", robot=robot, task_options={"obstacles": 8}) as env:
-        model, data = env.scenario.world.model, env.scenario.world.data
+        model, data = env.simulation.world.model, env.simulation.world.data
         names = np.array([model.body(body).name for body in model.geom_bodyid])
         post = np.char.startswith(names, "obstacle")
         arm = np.char.startswith(names, robot)

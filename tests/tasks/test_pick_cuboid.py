@@ -23,7 +23,7 @@ DOWN = Pose.from_rpy([0.0, 0.0, 0.0], [np.pi, 0.0, 0.0])
 
 def carry(env: Any, height: float) -> np.ndarray:
     """Put the cuboid between the fingers at home and take it to a height; return its qpos address."""
-    world = env.scenario.world
+    world = env.simulation.world
     first = int(world.model.joint("cuboid").qposadr[0])
     world.qpos[first : first + 3] = world.poses[0, :3] + [0.0, 0.0, height - world.poses[0, 2]]
     world.qpos[first + 3 : first + 7] = [1.0, 0.0, 0.0, 0.0]
@@ -31,7 +31,7 @@ def carry(env: Any, height: float) -> np.ndarray:
 
 
 def test_the_cuboid_has_the_size_and_mass_of_the_papers() -> None:
-    model = rcs.make("PickCuboid").scenario.world.model
+    model = rcs.make("PickCuboid").simulation.world.model
     np.testing.assert_allclose(2 * model.geom("cuboid").size, SIZE)
     assert SIZE == (0.064, 0.032, 0.0576)
     assert model.body("cuboid").mass[0] == pytest.approx(0.05)
@@ -41,7 +41,7 @@ def test_the_cuboid_lies_anywhere_in_the_area_at_any_yaw() -> None:
     envs = rcs.make_vec("PickCuboid", copies=200, threads=1)
     _, info = envs.reset(seed=0)
     cuboid = info["cuboid"]
-    area = envs.scenario.task.area
+    area = envs.simulation.task.area
     low = np.array(area.center) - np.array(area.size) / 2
     high = np.array(area.center) + np.array(area.size) / 2
     places = cuboid[:, :2]
@@ -68,7 +68,7 @@ def test_a_cuboid_that_is_only_high_is_not_a_success() -> None:
     env = rcs.make("PickCuboid", reward="dense")
     env.reset(seed=0)
     first = carry(env, 0.5)
-    world = env.scenario.world
+    world = env.simulation.world
     for _ in range(int(2 * OPTIONS.hold_time * 30)):
         world.qpos[first + 2] = 0.5
         world.qvel[-6:] = 0.0
@@ -82,7 +82,7 @@ def test_a_cuboid_that_is_only_high_is_not_a_success() -> None:
 def test_a_cuboid_that_is_grasped_high_for_the_hold_time_is_a_success_and_not_before() -> None:
     env = rcs.make("PickCuboid", reward="sparse")
     env.reset(seed=0)
-    world = env.scenario.world
+    world = env.simulation.world
     tcp = world.poses[0].copy()
     first = carry(env, tcp[2])
     # The fingers open along y, across which the cuboid is 32 mm wide.
@@ -125,7 +125,7 @@ def test_the_reward_is_positive_on_the_way_to_the_cuboid_and_staying_there_costs
 def test_a_new_episode_forgets_how_long_the_cuboid_was_held() -> None:
     envs = rcs.make_vec("PickCuboid", copies=3, autoreset="Disabled")
     envs.reset(seed=0)
-    held, world, yes = envs.scenario.task._held, envs.scenario.world, np.ones(3, np.bool_)
+    held, world, yes = envs.simulation.task._held, envs.simulation.world, np.ones(3, np.bool_)
     held.count(yes)
     world.time[:] = 2.0
     held.reset(np.array([0, 2]))
@@ -142,7 +142,7 @@ def test_a_new_episode_forgets_how_long_the_cuboid_was_held() -> None:
     ],
 )
 def test_a_scene_that_the_task_cannot_use_is_refused(robots: list[RobotPlacement], text: str) -> None:
-    task = PickCuboid(rcs.make("PickCuboid").scenario.task.area)
+    task = PickCuboid(rcs.make("PickCuboid").simulation.task.area)
     scene = Scene.empty()
     task.furnish(scene)
     for robot in robots:
@@ -153,7 +153,7 @@ def test_a_scene_that_the_task_cannot_use_is_refused(robots: list[RobotPlacement
 
 
 def test_the_cuboid_lies_in_the_scene_and_is_told_in_the_base_frame() -> None:
-    task = PickCuboid(rcs.make("PickCuboid").scenario.task.area)
+    task = PickCuboid(rcs.make("PickCuboid").simulation.task.area)
     scene = Scene.empty()
     task.furnish(scene)
     turned = Mount(translation=(-0.1, 0.2, 0.05), quaternion=(0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))

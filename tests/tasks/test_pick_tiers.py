@@ -45,7 +45,7 @@ def test_an_arm_with_five_joints_picks_the_hardest() -> None:
 def test_everything_starts_at_rest(options: dict[str, Any]) -> None:
     env = rcs.make("PickCuboid", task_options=options)
     env.reset(seed=5)
-    world = env.scenario.world
+    world = env.simulation.world
     start = world.qpos.copy()
     still = {key: np.zeros(space.shape, space.dtype) for key, space in env.action_space.spaces.items()}
     still["gripper"][:] = 1.0
@@ -75,7 +75,7 @@ def test_any_pose_is_each_of_the_three() -> None:
 def test_distractors_leave_room_for_a_gripper_and_lie_near() -> None:
     envs = rcs.make_vec("PickCuboid", copies=16, threads=1, task_options={"distractors": 4})
     _, info = envs.reset(seed=0)
-    model, qpos = envs.scenario.world.model, envs.scenario.world.qpos
+    model, qpos = envs.simulation.world.model, envs.simulation.world.qpos
     for i in range(4):
         first = int(model.joint(f"distractor {i}").qposadr[0])
         offset = qpos[:, first : first + 2] - info["cuboid"][:, :2]
@@ -106,7 +106,7 @@ def test_copies_are_single_environments_bit_for_bit() -> None:
         for single in singles:
             single.step({"joints": np.full(7, 0.02), "gripper": np.zeros(1, np.float32)})
     for copy, single in enumerate(singles):
-        np.testing.assert_array_equal(single.scenario.world.states(), envs.scenario.world.states()[copy])
+        np.testing.assert_array_equal(single.simulation.world.states(), envs.simulation.world.states()[copy])
 
 
 def test_a_recording_of_the_hardest_replays_bit_for_bit(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ def still(env: Any) -> dict[str, NDArray[Any]]:
 
 def nodes_of(env: Env) -> NDArray[np.float64]:
     """The toy's nodes in the scene, as MuJoCo has them."""
-    world = env.scenario.world
+    world = env.simulation.world
     assert world.data is not None
     toy = world.model.body("toy").id
     return world.data.xpos[world.model.body_parentid == toy].copy()
@@ -48,12 +48,12 @@ def test_the_toy_lies_still_for_ten_seconds() -> None:
         _, _, _, _, info = env.step(still(env))
         assert not info["is_touched"]
     np.testing.assert_allclose(nodes_of(env), before, atol=1e-3)
-    assert np.isfinite(env.scenario.world.states()).all()
+    assert np.isfinite(env.simulation.world.states()).all()
 
 
 def test_every_start_is_the_same_toy_moved_and_turned() -> None:
     env = rcs.make(SETUP)
-    area = env.scenario.task.area
+    area = env.simulation.task.area
     shapes, yaws = [], []
     for seed in range(20):
         _, info = env.reset(seed=seed)
@@ -80,7 +80,7 @@ def test_the_expert_lifts_the_toy_and_squeezes_it_by_more_than_a_twentieth() -> 
         held = nodes_of(env)
         assert held[:, 2].mean() - low > 0.10
         assert np.abs(distances(held) / at_rest - 1.0).max() > 0.05
-        tcp = env.scenario.robots[0].tcp_tquat[:3]
+        tcp = env.simulation.robots[0].tcp_tquat[:3]
         assert np.linalg.norm(tcp - expert.arms[0].plan["home"][:3]) < 0.05
 
 
@@ -103,7 +103,7 @@ def test_a_copy_of_a_batch_is_the_single_environment_bit_for_bit() -> None:
         many, _, _, _, all_told = batch.step(actions)
         one, _, _, _, told = single.step({key: value[2] for key, value in actions.items()})
     require_same_bits(one, {key: value[2] for key, value in many.items()})
-    np.testing.assert_array_equal(single.scenario.world.states(), batch.scenario.world.states()[2])
+    np.testing.assert_array_equal(single.simulation.world.states(), batch.simulation.world.states()[2])
     np.testing.assert_array_equal(told["toy"], all_told["toy"][2])
 
 

@@ -35,9 +35,9 @@ def still(env: Any) -> dict[str, Any]:
 def at_goal(env: Any, seed: int = 0, **shift: float) -> tuple[Any, int]:
     """Reset, put the block at the goal, shifted by some metres; return the world and the block's place in `qpos`."""
     env.reset(seed=seed)
-    world = env.scenario.world
+    world = env.simulation.world
     first = int(world.model.joint("block").qposadr[0])
-    goal = env.scenario.object_poses()["goal"]
+    goal = env.simulation.object_poses()["goal"]
     world.qpos[first : first + 3] = goal[:3] + [shift.get("x", 0.0), shift.get("y", 0.0), EDGES[2] / 2]
     world.qpos[first + 2] += shift.get("z", 0.0)
     world.refresh()
@@ -142,7 +142,7 @@ def test_a_block_that_is_grasped_on_the_table_is_no_success() -> None:
 def test_a_block_that_leans_is_no_success() -> None:
     env = rcs.make("Push")
     world, first = at_goal(env)
-    pose = env.scenario.object_poses()["block"]
+    pose = env.simulation.object_poses()["block"]
     leaning = compose(pose, rcs.Pose.from_rpy((0.0, 0.0, 0.0), (np.deg2rad(7.0), 0.0, 0.0)).tquat)
     dof = int(world.model.joint("block").dofadr[0])
     for _ in range(30):
@@ -157,7 +157,7 @@ def test_a_block_that_leans_is_no_success() -> None:
 def test_a_new_episode_forgets_that_the_block_was_lifted() -> None:
     envs = rcs.make_vec("Push", copies=3, autoreset="Disabled")
     envs.reset(seed=0)
-    task = envs.scenario.task
+    task = envs.simulation.task
     assert isinstance(task, Push)
     task._was_lifted[:] = True
     _, info = envs.reset(options={"reset_mask": np.array([True, False, True])})
@@ -168,8 +168,8 @@ def test_a_new_episode_forgets_that_the_block_was_lifted() -> None:
 def test_block_and_goal_lie_in_the_area_with_room_and_apart(robot: str) -> None:
     envs = rcs.make_vec("Push", robot=robot, copies=64, threads=1)
     envs.reset(seed=0)
-    area = envs.scenario.task.area
-    poses = envs.scenario.task.object_poses()
+    area = envs.simulation.task.area
+    poses = envs.simulation.task.object_poses()
     half = np.array(area.size) / 2 - area.object_scale * MARGIN
     for pose in poses.values():
         assert (np.abs(pose[:, :2] - area.center) <= half + 1e-9).all()
@@ -194,7 +194,7 @@ def test_copies_are_single_environments_bit_for_bit() -> None:
             assert reward == rewards[copy]
             np.testing.assert_array_equal(own["block"], told["block"][copy])
     for copy, single in enumerate(singles):
-        np.testing.assert_array_equal(single.scenario.world.states(), envs.scenario.world.states()[copy])
+        np.testing.assert_array_equal(single.simulation.world.states(), envs.simulation.world.states()[copy])
 
 
 def test_a_recorded_push_replays_bit_for_bit(tmp_path: Path) -> None:
@@ -208,12 +208,12 @@ def test_progress_is_greatest_at_the_goal() -> None:
     env, progress = rcs.make("Push"), []
     for x in (-0.08, -0.04, 0.0):
         at_goal(env, x=x)
-        progress.append(env.scenario.task.evaluate().progress)
+        progress.append(env.simulation.task.evaluate().progress)
     assert 0.0 < progress[0] < progress[1] < progress[2] == 1.0
 
 
 def test_the_block_slides_with_its_own_friction() -> None:
-    world = rcs.make("Push").scenario.world
+    world = rcs.make("Push").simulation.world
     block = world.model.geom("block")
     assert block.friction[0] == FRICTION
     assert block.priority[0] > world.model.geom("fr3/gripper/left_pad").priority[0]

@@ -84,17 +84,17 @@ def test_a_copy_of_a_batch_is_the_single_environment_bit_for_bit(task: str, robo
             one, reward, _, _, told = single.step(pick(actions, copy))
             require_same(one, many, copy)
             assert reward == all_rewards[copy]
-            for key in single.scenario.task.describe():
+            for key in single.simulation.task.describe():
                 require_same(told[key], all_told[key], copy)
-        np.testing.assert_array_equal(single.scenario.world.states(), envs.scenario.world.states()[copy])
-        require_same(single.scenario.randomisation, envs.scenario.randomisation, copy)
+        np.testing.assert_array_equal(single.simulation.world.states(), envs.simulation.world.states()[copy])
+        require_same(single.simulation.randomisation, envs.simulation.randomisation, copy)
 
 
 @every_task
 def test_size_mass_friction_and_colour_are_drawn(task: str, robot: str) -> None:
     env = rcs.make(task, robot=robot, randomisation=True)
-    (name,) = env.scenario.task.objects()
-    world = env.scenario.world
+    (name,) = env.simulation.task.objects()
+    world = env.simulation.world
     parts = ObjectParts(world, name)
     soft = len(parts.flexes) > 0
     shape, rows = ("flex", parts.flexes) if soft else ("geom", parts.geoms)
@@ -173,7 +173,7 @@ def test_a_toy_of_any_size_and_mass_starts_as_it_lies(copies: int | None) -> Non
     env = rcs.make("PickToy", **options) if copies is None else rcs.make_vec("PickToy", copies=copies, **options)
     _, info = env.reset(seed=4)
     drawn = info["randomisation"]
-    before, rest_height = info["toy"].copy(), env.scenario.task._rest_height
+    before, rest_height = info["toy"].copy(), env.simulation.task._rest_height
     # Its bottom is a face, not the end of an ellipsoid, and its weight makes it lower by a fraction of a millimetre.
     np.testing.assert_allclose(before[..., 2], drawn["object_size"][..., 0] * SIZE[2] / 2, atol=4e-3)
     np.testing.assert_allclose(before[..., 2], rest_height, rtol=1e-12)
@@ -183,7 +183,7 @@ def test_a_toy_of_any_size_and_mass_starts_as_it_lies(copies: int | None) -> Non
         *_, info = env.step(action)
     np.testing.assert_allclose(info["toy"], before, atol=2e-5)
     assert not np.any(info["is_touched"])
-    mass = env.scenario.world.field("body_mass")[..., env.scenario.task._bodies].sum(axis=-1)
+    mass = env.simulation.world.field("body_mass")[..., env.simulation.task._bodies].sum(axis=-1)
     np.testing.assert_allclose(mass, drawn["object_mass"][..., 0] * MASS, rtol=1e-12)
 
 
@@ -230,7 +230,7 @@ def test_a_toy_is_touched_by_the_hand_and_not_by_being_drawn_out_or_high() -> No
     env = rcs.make(setup)
     expert = agent_for(env)
     observation, info = env.reset(seed=0)
-    world, task = env.scenario.world, env.scenario.task
+    world, task = env.simulation.world, env.simulation.task
     start = world.states()
     moved = world.qpos[task._qpos]
     moved[2::3] += 0.02

@@ -51,16 +51,16 @@ class Episode:
 def play(setup: rcs.Setup, make_policy: Callable[[Any], Policy]) -> Episode:
     """Return what the same episode is worth by all rules."""
     env = rcs.make(setup)
-    scenario, policy = env.scenario, make_policy(env)
-    rules = {rule: Rewards(scenario.world, scenario.robots, *rule) for rule in RULES}
+    simulation, policy = env.simulation, make_policy(env)
+    rules = {rule: Rewards(simulation.world, simulation.robots, *rule) for rule in RULES}
     observation, info = env.reset(seed=2)
-    judgement = scenario.evaluate()
+    judgement = simulation.evaluate()
     for rewards in rules.values():
         rewards.begin(judgement, ...)
     episode = Episode(dict.fromkeys(RULES, 0.0), float(judgement.progress))  # type: ignore[arg-type]
     for step in range(STEPS):
         observation, _, episode.success, _, info = env.step(policy(step, observation, info))
-        judgement = scenario.evaluate()
+        judgement = simulation.evaluate()
         for rule, rewards in rules.items():
             paid = float(rewards.pay(judgement, terminated=episode.success))
             episode.returns[rule] += rule[1] ** step * paid

@@ -45,7 +45,9 @@ def test_a_cuboid_that_only_lies_there_was_not_set_down(task: str) -> None:
     _, info = env.reset(seed=3)
     goal = info["goal"]
     env.reset(
-        options={"objects": {"cuboid": goal, **{k: v for k, v in env.scenario.object_poses().items() if k != "cuboid"}}}
+        options={
+            "objects": {"cuboid": goal, **{k: v for k, v in env.simulation.object_poses().items() if k != "cuboid"}}
+        }
     )
     for _ in range(40):
         *_, info = env.step(still(env))
@@ -114,7 +116,7 @@ def test_a_copy_of_a_batch_is_the_single_environment_bit_for_bit(task: str) -> N
     require_same_bits(one, {key: value[2] for key, value in many.items()})
     for key in ("cuboid", "goal"):
         np.testing.assert_array_equal(told[key], all_told[key][2])
-    np.testing.assert_array_equal(single.scenario.world.states(), batch.scenario.world.states()[2])
+    np.testing.assert_array_equal(single.simulation.world.states(), batch.simulation.world.states()[2])
 
 
 @both
@@ -128,7 +130,7 @@ def test_a_recorded_episode_replays_bit_for_bit(task: str, tmp_path: Path) -> No
 def test_places_are_random_in_the_area_and_apart_from_each_other() -> None:
     envs = rcs.make_vec("Place", copies=300, threads=1)
     _, info = envs.reset(seed=0)
-    area = envs.scenario.task.area
+    area = envs.simulation.task.area
     for key in ("cuboid", "goal"):
         offset = np.abs(info[key][:, :2] - area.center)
         assert (offset <= np.array(area.size) / 2).all()
@@ -147,10 +149,10 @@ def test_the_goal_is_as_high_as_the_cuboids_of_the_episode() -> None:
 def test_both_objects_can_be_put_somewhere(task: str) -> None:
     env = rcs.make(task)
     env.reset(seed=0)
-    poses = env.scenario.object_poses()
+    poses = env.simulation.object_poses()
     wanted = {name: pose + [0.01 * (i + 1), -0.02, 0, 0, 0, 0, 0] for i, (name, pose) in enumerate(poses.items())}
     env.reset(seed=1, options={"objects": wanted})
-    for name, pose in env.scenario.object_poses().items():
+    for name, pose in env.simulation.object_poses().items():
         np.testing.assert_allclose(pose, wanted[name], atol=1e-9)
 
 

@@ -25,7 +25,7 @@ def test_tags_are_drawn_where_geometry_has_them() -> None:
     with rcs.make(setup) as env:
         frame: dict[str, Any] = env.reset(seed=0)[0]["frames"]["side"]
         board_in_scene = np.eye(4)
-        world = env.scenario.world
+        world = env.simulation.world
         body = world.model.body("board").id
         assert world.data is not None
         board_in_scene[:3, :3] = world.data.xmat[body].reshape(3, 3)
@@ -43,7 +43,7 @@ def test_a_board_on_a_gripper_moves_with_it_and_one_in_the_scene_stays() -> None
             ShowBoard, robot="fr3", relative=False, stepping="sync", task_options={"on": on, "x": 0.3, "z": 0.25}
         ) as env:
             joints = env.reset(seed=0)[0]["joints"]
-            world = env.scenario.world
+            world = env.simulation.world
             assert world.data is not None
             body = world.model.body("board").id
             before = world.data.xpos[body].copy()

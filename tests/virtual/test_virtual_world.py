@@ -116,7 +116,7 @@ def test_the_objects_are_where_an_environment_has_them_with_the_same_seed():
         for seed in (3, 8):
             tell(world.name, ("reset", str(seed)))
             _, info = env.reset(seed=seed)
-            cuboid = world._scenario.task.describe()["cuboid"]
+            cuboid = world._simulation.task.describe()["cuboid"]
             assert np.allclose(cuboid[:2], info["cuboid"][:2], atol=1e-3)
 
 
@@ -262,7 +262,7 @@ def test_an_arm_without_a_wire_is_refused(monkeypatch: pytest.MonkeyPatch):
 def test_whether_the_task_was_done_stays_known_until_the_objects_are_placed_anew(monkeypatch: pytest.MonkeyPatch):
     with world_of() as world:
         assert tell(world.name, ("judge",)) == "not done"
-        evaluate, times = world._scenario.evaluate, []
+        evaluate, times = world._simulation.evaluate, []
 
         def done_once():
             judgement = evaluate()
@@ -270,7 +270,7 @@ def test_whether_the_task_was_done_stays_known_until_the_objects_are_placed_anew
             judgement.success = np.bool_(len(times) == 3)
             return judgement
 
-        monkeypatch.setattr(world._scenario, "evaluate", done_once)
+        monkeypatch.setattr(world._simulation, "evaluate", done_once)
         wait_until(lambda: len(times) > 5)
         assert np.diff(times[:5]) == pytest.approx(1 / world.setup.frequency, abs=0.003)
         assert tell(f"{world.name}/so101", ("judge",)) == "done"

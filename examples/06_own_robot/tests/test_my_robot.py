@@ -45,8 +45,8 @@ class TestTheArm(ArmContract):
         """Return the arm of a new world whose time passes in steps of 10 ms."""
         env = rcs.make("Free", robot=self.robot, frequency=100.0)
         env.reset(seed=0)
-        self.world = env.scenario.world
-        return env.scenario.robots[0].arm()
+        self.world = env.simulation.world
+        return env.simulation.robots[0].arm()
 
     def advance(self, seconds: float) -> None:
         """Let simulated time pass."""

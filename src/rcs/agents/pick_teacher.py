@@ -65,7 +65,7 @@ class PickTeacher(Agent):
                 gripper, or the environment does not observe `privileged`, `contacts` and the last target.
         """
         setup = env.setup
-        task = None if env.scenario is None else env.scenario.task
+        task = None if env.simulation is None else env.simulation.task
         name = type(self).__name__
         if not isinstance(task, self.task) or len(env.robots) != 1:
             raise InvalidSetup(f"{name} is for {self.task.__name__} with one arm; the setup has {setup.task!r}.")

@@ -84,7 +84,7 @@ class PlanCommand(SetupOptions):
         return 0
 
     def _draw(self, env: Env, planner: ScenePlanner, timed: TimedPath) -> None:
-        picture = Picture(env.scenario.world)
+        picture = Picture(env.simulation.world)
 
         def at(joints: NDArray[np.float64]) -> NDArray[np.uint8]:
             planner.put(joints)

@@ -14,7 +14,7 @@ def watch_collection(collection: Collection, console: Console) -> int:
     """Collect in real time in this process, with a window; closing the window ends the collection."""
     env = make(collection.setup)
     progress = Progress()
-    with Viewer(env.scenario.world) as viewer:
+    with Viewer(env.simulation.world) as viewer:
         env.add_observer(Show(viewer))
         for attempt in collect(collection, progress, env):
             verdict = "success" if attempt.result.success else f"failure ({attempt.result.failure})"

@@ -3,8 +3,8 @@ from rcs.envs.env import Env as Env
 from rcs.envs.episode_random import EpisodeRandom as EpisodeRandom
 from rcs.envs.gates.gate import Gate as Gate
 from rcs.envs.gates.guard import Guard as Guard
+from rcs.envs.layers.layer import CopyIndex as CopyIndex
 from rcs.envs.layers.layer import Layer as Layer
-from rcs.envs.layers.layer import Where as Where
 from rcs.envs.limits import Limits as Limits
 from rcs.envs.observer import Observer as Observer
 from rcs.envs.observer import Transition as Transition

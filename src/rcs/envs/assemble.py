@@ -30,7 +30,7 @@ from rcs.envs.setup import Setup
 from rcs.envs.start import base_in_scene
 from rcs.envs.step.chain import Chain
 from rcs.envs.step.clock import Clock
-from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.simulation import Simulation
 from rcs.envs.step.stack import NAMELESS, Stack
 from rcs.envs.variation.randomiser import Randomiser
 from rcs.envs.variation.robots import keep_history
@@ -80,7 +80,7 @@ def assemble(
         )
     elif render_mode is not None:
         raise InvalidSetup("Real devices have no picture to render; use the frames of a camera.")
-    scenario, stack = _populate(parts, world, cameras)
+    simulation, stack = _populate(parts, world, cameras)
     picture = None if render_mode is None or world is None else Picture(world, quality=setup.render_quality)
     effectors = [f"{robot.name}/{robot.end_effector.name}" for robot in parts.robots if robot.end_effector is not None]
     simulated = [robot.name for robot in parts.robots] + effectors
@@ -97,7 +97,7 @@ def assemble(
             now=parts.now,
             sleep=parts.sleep,
         ),
-        scenario,
+        simulation,
         setup=setup,
         robots=parts.robots,
         platform={**dict.fromkeys(simulated, "simulation"), **devices.platform},
@@ -115,12 +115,12 @@ def assemble_vec(parts: Parts, *, copies: int, threads: int, autoreset: Autorese
     setup = parts.setup
     model = compose(parts).compile()
     world = World(model, copies=copies, threads=threads, frequency=setup.frequency, stepping=setup.stepping)
-    scenario, stack = _populate(parts, world, parts.cameras)
-    assert scenario is not None, "there is a world"
+    simulation, stack = _populate(parts, world, parts.cameras)
+    assert simulation is not None, "there is a world"
     return VecEnv(
         stack,
         Clock(world),
-        scenario,
+        simulation,
         setup=setup,
         max_episode_steps=setup.max_episode_steps,
         autoreset=autoreset,
@@ -169,7 +169,7 @@ def _is_all_real(parts: Parts, cameras: Sequence[CameraPlacement]) -> bool:
     )
 
 
-def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlacement]) -> tuple[Scenario | None, Stack]:
+def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlacement]) -> tuple[Simulation | None, Stack]:
     """Return the simulated part, if there is one, and the stack over all parts."""
     setup, devices = parts.setup, parts.devices
     if "privileged" in setup.observe and devices:
@@ -178,7 +178,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
     leading = () if world is None else world.leading
     simulated = [camera for camera in cameras if camera.name not in devices.cameras]
     real = [camera for camera in cameras if camera.name in devices.cameras]
-    scenario: Scenario | None = None
+    simulation: Simulation | None = None
     shared: list[Port] = []
     bodies: dict[str, SimRobot] = {}
     randomiser: Randomiser | None = None
@@ -190,10 +190,10 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
         clock = _frame_clock(setup, simulated, world) if simulated else None
         randomiser = _randomiser(parts, world)
         robots = list(bodies.values())
-        scenario = Scenario(
+        simulation = Simulation(
             world, robots, parts.task, randomiser, clock, parts.clutter, reward=setup.reward, discount=setup.discount
         )
-        scenario.guards = _guards(parts, bodies)
+        simulation.guards = _guards(parts, bodies)
         shared += _simulated_sensors(parts, simulated, world, robots, clock, randomiser)
     gates = list(parts.gates)
     for gate in gates:
@@ -232,7 +232,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
         chains[name] = Chain(ports, [*layers, *parts.layers.get(placement.name, ())], leading)
     if len(parts.robots) != 1:
         chains[NAMELESS] = Chain(shared, points, leading)
-    return scenario, Stack(chains, gates)
+    return simulation, Stack(chains, gates)
 
 
 def _guards(parts: Parts, bodies: Mapping[str, SimRobot]) -> dict[str, CollisionGuard]:

@@ -21,7 +21,7 @@ from rcs.envs.step.approach import Approach
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.engine import Approaches, Engine
 from rcs.envs.step.judge import DIVERGED, FAULT
-from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.simulation import Simulation
 from rcs.envs.step.stack import Stack
 from rcs.envs.step.state import EnvState, read_state, write_state
 from rcs.errors import InvalidSetup, WrongOrder, require_fields
@@ -47,7 +47,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         self,
         stack: Stack,
         clock: Clock,
-        scenario: Scenario | None = None,
+        simulation: Simulation | None = None,
         *,
         setup: Setup | None = None,
         robots: Sequence[RobotPlacement] = (),
@@ -64,9 +64,9 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         Args:
             stack: Ports, layers and gates.
             clock: Lets time pass.
-            scenario: A simulated world with its task; None for real devices alone.
+            simulation: A simulated world with its task; None for real devices alone.
             setup: What the environment was made from; None for one that is put together by hand.
-            robots: Its robots, simulated or real; None for those of the scenario.
+            robots: Its robots, simulated or real; None for those of the simulation.
             platform: What every robot, `robot/end effector` and camera is: `simulation`, or the name of a driver.
             instruction: What the robot is asked to do; None for what the task says.
             max_episode_steps: An episode is truncated after this many steps; None for no limit.
@@ -75,7 +75,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             render_mode: `rgb_array`, `human`, or None.
             title: First line of the printed environment.
         """
-        self._engine = Engine(stack, clock, scenario, max_episode_steps=max_episode_steps)
+        self._engine = Engine(stack, clock, simulation, max_episode_steps=max_episode_steps)
         for observer in observers:
             self._engine.observers.add(observer)
         if picture is not None:
@@ -84,10 +84,10 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             self._engine.instruction = instruction
         self._clock = clock
         self._setup = setup
-        placements = robots or ([] if scenario is None else [robot.placement for robot in scenario.robots])
+        placements = robots or ([] if simulation is None else [robot.placement for robot in simulation.robots])
         self.robots: dict[str, RobotPlacement] = {robot.name: robot for robot in placements}
         """Descriptions of the robots and where they stand, by name."""
-        self.platform = dict(platform or dict.fromkeys(self.robots, "simulation" if scenario else "hardware"))
+        self.platform = dict(platform or dict.fromkeys(self.robots, "simulation" if simulation else "hardware"))
         """What every robot, end effector and camera is: `simulation`, or the name of a driver."""
         self._picture = picture
         self._title = title
@@ -132,20 +132,20 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         return self._clock.frequency
 
     @property
-    def scenario(self) -> Scenario:
+    def simulation(self) -> Simulation:
         """The simulated world and its task.
 
         Raises:
             WrongOrder: This environment is not simulated.
         """
-        if self._engine.scenario is None:
+        if self._engine.simulation is None:
             raise WrongOrder("This environment drives real devices; it has no simulated world.")
-        return self._engine.scenario
+        return self._engine.simulation
 
     @property
     def is_simulated(self) -> bool:
-        """Whether there is a simulated world, `scenario.world`."""
-        return self._engine.scenario is not None
+        """Whether there is a simulated world, `simulation.world`."""
+        return self._engine.simulation is not None
 
     @property
     def is_real(self) -> bool:
@@ -176,10 +176,10 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         Args:
             seed: Same seed, same episode, and the same episodes after it. Without one, the next episode of the last
                 seed.
-            options: `state` starts the episode in a simulation state of `env.scenario.world.states()`. `robot` starts
+            options: `state` starts the episode in a simulation state of `env.simulation.world.states()`. `robot` starts
                 it with `joints`, and `gripper` or `hand`, as an observation has them (of several robots: under their
                 names), and `objects` with simulated objects at poses (7,) in the base frame (of several robots: the
-                scene), as `env.scenario.object_poses()` has them.
+                scene), as `env.simulation.object_poses()` has them.
                 Real arms go to the joints of `robot` on a straight line, at the share `speed` of their largest speeds,
                 0.05 by default, when `may_move` is True, or a function that is given a question and returns True.
 
@@ -347,11 +347,13 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         manner = {name: given.pop(name) for name in ("may_move", "speed") if name in given}
         require_fields("reset option", given, ("state", "robot", "objects", "may_move", "speed"))
         if robot is None and objects is None:
-            return (None if state is None else check_state(state, self.scenario.world.core.state_size)), None, None
+            return (None if state is None else check_state(state, self.simulation.world.core.state_size)), None, None
         if state is not None:
             raise InvalidSetup("The reset option 'state' cannot be combined with 'robot' or 'objects'.")
         placements = list(self.robots.values())
-        start = check_start(placements, self.scenario.task.object_poses() if self.is_simulated else {}, robot, objects)
+        start = check_start(
+            placements, self.simulation.task.object_poses() if self.is_simulated else {}, robot, objects
+        )
         real = {name: own for name, own in start.robots.items() if self.platform.get(name) != "simulation"}
         if not real:
             return None, start, None
@@ -362,9 +364,9 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
 
     def __str__(self) -> str:
         """Return the environment, its task and its stack, part by part."""
-        task = [f"  {self.scenario}"] if self.is_simulated else []
+        task = [f"  {self.simulation}"] if self.is_simulated else []
         return "\n".join([self._title, *task, str(self.stack)])
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: setup, stack and a picture of the present state."""
-        return to_html(str(self), self._setup, self._engine.scenario)
+        return to_html(str(self), self._setup, self._engine.simulation)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 
 from rcs.envs.setup import Setup
-from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.simulation import Simulation
 from rcs.errors import MissingDependency
 from rcs.sim.viewer import Picture
 
@@ -13,13 +13,13 @@ SIZE = (320, 240)
 """Width and height of the picture [px]."""
 
 
-def to_html(text: str, setup: Setup | None, scenario: Scenario | None) -> str:
+def to_html(text: str, setup: Setup | None, simulation: Simulation | None) -> str:
     """Return an environment as HTML.
 
     Args:
         text: The printed environment; its first line is the title.
         setup: What it was made from; the table has the fields that are not at their defaults.
-        scenario: What the picture is of; None for an environment without one.
+        simulation: What the picture is of; None for an environment without one.
     """
     from rcs_data.view.html import element, joined, table  # pages are nothing that an environment needs
 
@@ -30,15 +30,15 @@ def to_html(text: str, setup: Setup | None, scenario: Scenario | None) -> str:
         for name, value, default in chosen
         if name in ("task", "robot") or (value != default and value != {})
     ]
-    picture = None if scenario is None else _picture(scenario)
+    picture = None if simulation is None else _picture(simulation)
     return joined([element("h4", title), picture, table(shown), element("pre", stack)])
 
 
-def _picture(scenario: Scenario) -> str | None:
+def _picture(simulation: Simulation) -> str | None:
     """Return a picture of the present state; nothing where none can be drawn."""
     from rcs_data.view.html import picture_tag
 
-    picture = Picture(scenario.world, size=SIZE)
+    picture = Picture(simulation.world, size=SIZE)
     try:
         return picture_tag(picture.draw(), height=SIZE[1], title="The scene")
     except MissingDependency:  # no OpenGL

@@ -121,4 +121,4 @@ def planner_for(env: Env, robot: str | None = None, **options: Any) -> ScenePlan
     name = robot or next(iter(env.robots))
     if name not in env.robots:
         raise UnknownName("robot", name, env.robots)
-    return ScenePlanner(env.scenario.world, env.robots[name], **options)
+    return ScenePlanner(env.simulation.world, env.robots[name], **options)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # setups name the kinds, and are made without the simulator
-    from rcs.envs.layers import Where
+    from rcs.envs.layers import CopyIndex
     from rcs.envs.task import Judgement
     from rcs.sim.robot import SimRobot
     from rcs.sim.world import World
@@ -59,7 +59,7 @@ class Rewards:
         self._potential: NDArray[np.float64] = self._none
         """Potential of the last state, (*leading,)."""
 
-    def begin(self, start: Judgement, where: Where) -> None:
+    def begin(self, start: Judgement, where: CopyIndex) -> None:
         """Remember the potential of the starts of some copies' episodes.
 
         Args:

@@ -16,7 +16,7 @@ from rcs.errors import InvalidSetup
 
 if TYPE_CHECKING:  # labs have an `Area`, and `rcs list` shows them without the simulator
     from rcs.envs.episode_random import EpisodeRandom
-    from rcs.envs.layers import Where
+    from rcs.envs.layers import CopyIndex
     from rcs.sim.robot import SimRobot
     from rcs.sim.scene import RobotPlacement, Scene
     from rcs.sim.world import World
@@ -168,7 +168,7 @@ class Task(ABC):
         """Look up what the task reads and writes, once the scene is compiled."""
 
     @abstractmethod
-    def reset(self, random: EpisodeRandom, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Write the start of an episode into the state of some copies.
 
         Args:
@@ -192,7 +192,7 @@ class Task(ABC):
         """Return the poses of the task's objects in the scene by name, (*leading, 7) [m], xyzw."""
         return {}
 
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
         """Put objects at given poses, at rest, by writing the state; called only between `reset` and the first step.
 
         Args:

@@ -17,7 +17,7 @@ from rcs.envs.setup import Setup
 from rcs.envs.spaces import FRAMES, Observation
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.engine import Engine
-from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.simulation import Simulation
 from rcs.envs.step.stack import Stack
 from rcs.envs.step.state import EnvState, read_state, write_state
 from rcs.errors import InvalidSetup, WrongOrder
@@ -35,7 +35,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         self,
         stack: Stack,
         clock: Clock,
-        scenario: Scenario,
+        simulation: Simulation,
         *,
         setup: Setup,
         max_episode_steps: int | None = None,
@@ -47,32 +47,32 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         Args:
             stack: Ports and layers on (copies, ...) arrays.
             clock: Lets time pass.
-            scenario: The world with its task.
+            simulation: The world with its task.
             setup: What the environment was made from.
             max_episode_steps: An episode is truncated after this many steps; None for no limit.
             autoreset: When a copy starts its next episode: in the step after its end, in the same step, or never by
                 itself.
             title: First line of the printed environment.
         """
-        self._engine = Engine(stack, clock, scenario, max_episode_steps=max_episode_steps)
+        self._engine = Engine(stack, clock, simulation, max_episode_steps=max_episode_steps)
         self._autoreset = autoreset
         self._title = title
         self._has_seeds = False
         self.setup = setup
         """What the environment was made from."""
-        self.scenario = scenario
+        self.simulation = simulation
         """The simulated world and its task."""
         self.stack = stack
         """Ports, layers and gates."""
         self.frequency = clock.frequency
         """Control steps per second [Hz]."""
-        self.instruction = scenario.task.instruction
+        self.instruction = simulation.task.instruction
         """What the robot is asked to do."""
-        self.robots: dict[str, RobotPlacement] = {one.placement.name: one.placement for one in scenario.robots}
+        self.robots: dict[str, RobotPlacement] = {one.placement.name: one.placement for one in simulation.robots}
         """Descriptions of the robots and where they stand, by name."""
         self.platform = dict.fromkeys(self.robots, "simulation")
         """What every robot is: `simulation`."""
-        copies = scenario.world.copies
+        copies = simulation.world.copies
         self.num_envs = copies
         self.metadata = {"render_modes": [], "autoreset_mode": autoreset, "render_fps": max(1, round(clock.frequency))}
         self.render_mode = None
@@ -234,7 +234,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
     def _tell_started(self, info: dict[str, Any], started: NDArray[np.bool_]) -> None:
         """Add what the reset of a single environment tells and its steps do not."""
         told: dict[str, Any] = {"instruction": np.full(self.num_envs, self.instruction, object)}
-        if drawn := self.scenario.randomisation:
+        if drawn := self.simulation.randomisation:
             told["randomisation"] = drawn
         info.update(self._with_masks(told, started))
 
@@ -258,7 +258,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
 
     def __str__(self) -> str:
         """Return the environment, its task and its stack, part by part."""
-        return "\n".join([self._title, f"  {self.scenario}", str(self.stack)])
+        return "\n".join([self._title, f"  {self.simulation}", str(self.stack)])
 
     def __repr__(self) -> str:
         """Return the first line."""

@@ -183,7 +183,7 @@ def layout_of(env: Env | VecEnv, selection: Selection) -> FlatLayout:
         raise InvalidSetup(f"{env!r} is no environment of rcs; make the maps with Flat.from_spaces.")
     area = None
     if isinstance(inner, VecEnv) or inner.is_simulated:
-        area = inner.scenario.task.area
+        area = inner.simulation.task.area
     elif inner.has_setup:
         area = resolve(inner.setup).task.area
     action = getattr(env, "single_action_space", env.action_space)

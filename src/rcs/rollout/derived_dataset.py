@@ -59,7 +59,7 @@ class EpisodeMaker:
     def transfer(self) -> StateTransfer:
         """Transfers recorded simulation states to the scene of the environment."""
         source = compose(resolve(replace(self.scene.physics, assets="builtin"))).compile()
-        return StateTransfer(source, self.env.scenario.world.model)
+        return StateTransfer(source, self.env.simulation.world.model)
 
     def attempt(self, number: int) -> Any:
         """Make an episode, given its number in the dataset."""

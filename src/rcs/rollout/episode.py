@@ -116,7 +116,7 @@ def run_episode(
 
 def randomisation_of(env: Env) -> dict[str, Any]:
     """Return the outcome's entry about the randomisation of the present episode; empty if there is none."""
-    drawn = {field: values.tolist() for field, values in env.scenario.randomisation.items()}
+    drawn = {field: values.tolist() for field, values in env.simulation.randomisation.items()}
     return {"randomisation": drawn} if drawn else {}
 
 

@@ -75,7 +75,7 @@ def _shots(name: str, task: str, robot: str, out: Path, seed: int) -> Iterator[S
         env = make(setup)
         try:
             _go_on(env, setup, seed)
-            picture = Picture(env.scenario.world, size=SIZE, quality=quality)
+            picture = Picture(env.simulation.world, size=SIZE, quality=quality)
             yield _write(group, f"scene, {quality}", picture.draw(), out / f"{stem}-{quality}.jpg")
             picture.close()
             frames = env.stack.lift(env.stack.measure())["frames"]
@@ -96,7 +96,7 @@ def _go_on(env: Env, setup: Setup, seed: int) -> None:
         observation, _, terminated, truncated, info = blind.step(expert.act(observation, info))
         if terminated or truncated:
             break
-    env.reset(seed=seed, options={"state": blind.scenario.world.states()})
+    env.reset(seed=seed, options={"state": blind.simulation.world.states()})
     blind.close()
 
 

@@ -21,7 +21,7 @@ from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import GRIPPER, JOINTS, Action, Observation
 from rcs.envs.step.approach import SPEED
-from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.simulation import Simulation
 from rcs.errors import DeviceFault
 from rcs.rollout.episode import EpisodeResult, run_episode
 from rcs.rollout.operator import Operator
@@ -132,9 +132,9 @@ def has_real_arms(env: Env) -> bool:
     return any(env.platform.get(name) != "simulation" for name in env.robots)
 
 
-def _scene_of(setup: Setup) -> Scenario:
+def _scene_of(setup: Setup) -> Simulation:
     """Return the simulated scene of a setup, as the robots' lab has it, without cameras."""
     bare = Setup(task=setup.task, task_options=setup.task_options, robot=setup.robot, end_effector=setup.end_effector)
     parts = resolve(replace(bare, frequency=setup.frequency))
     world = World(compose(parts).compile(), frequency=setup.frequency)
-    return Scenario(world, [SimRobot(world, robot) for robot in parts.robots], parts.task)
+    return Simulation(world, [SimRobot(world, robot) for robot in parts.robots], parts.task)

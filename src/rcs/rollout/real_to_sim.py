@@ -74,9 +74,9 @@ def real_to_sim(
     poses = None if objects is None else _read_objects(Path(objects))
     env, _ = scene.make()
     try:
-        if (names := sorted(env.scenario.task.object_poses())) and poses is None:
+        if (names := sorted(env.simulation.task.object_poses())) and poses is None:
             _require_objects(dataset, names)
-        find_states(dataset.info, env.scenario.robots, setup.binary_gripper, state)
+        find_states(dataset.info, env.simulation.robots, setup.binary_gripper, state)
         info = scene.info(env, dataset.info)
     finally:
         env.close()
@@ -132,10 +132,10 @@ class _Follow:
             )
 
     def _follow(self, maker: EpisodeMaker, episode: EpisodeRecord) -> ReexecutionResult:
-        setup, scenario = maker.env.setup, maker.env.scenario
-        motion = RecordedMotion(episode, scenario.robots, setup.binary_gripper, setup.frequency, self.state)
+        setup, simulation = maker.env.setup, maker.env.simulation
+        motion = RecordedMotion(episode, simulation.robots, setup.binary_gripper, setup.frequency, self.state)
         start: dict[str, Any] = {"robot": motion.start()}
-        if scenario.task.object_poses():
+        if simulation.task.object_poses():
             poses = episode.outcome.get(OBJECTS) if self.poses is None else self.poses.get(episode.id)
             if poses is None:
                 raise InvalidSetup("The objects' poses are unknown.")

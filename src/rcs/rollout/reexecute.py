@@ -69,11 +69,11 @@ class Poses:
     @staticmethod
     def of(env: Env) -> Poses:
         """Return the present state of an environment."""
-        robots = env.scenario.robots
+        robots = env.simulation.robots
         return Poses(
             joints=np.concatenate([robot.joints for robot in robots]),
             tcps=np.stack([robot.tcp_tquat for robot in robots]),
-            objects=np.array(list(env.scenario.object_poses().values())).reshape(-1, 7),
+            objects=np.array(list(env.simulation.object_poses().values())).reshape(-1, 7),
         )
 
 
@@ -153,7 +153,7 @@ def _execute(maker: EpisodeMaker, episode: EpisodeRecord) -> ReexecutionResult:
 
 def _restored(env: Env, states: NDArray[np.float64]) -> Iterator[Poses]:
     """Restore the recorded states one after the other, and yield their poses."""
-    world = env.scenario.world
+    world = env.simulation.world
     for state in states:
         world.core.set_state(state)
         world.refresh()

@@ -62,7 +62,7 @@ def replay(path: str | Path, *, trust: Collection[str] = ()) -> Iterator[ReplayR
     # Neither cameras nor their appearance change the physics, and without frames a replay is ten times faster.
     env = assemble(resolve(setup), is_blind=True)
     try:
-        own = env.scenario.world.core.state_size
+        own = env.simulation.world.core.state_size
         for episode in dataset.episodes:
             if dataset.info.sim_state_size != own:
                 raise InvalidSetup(of_another_simulation(dataset.info.sim_state_size or 0, own))
@@ -79,14 +79,14 @@ def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
     steps = play(env, agent, seed=episode.seed, options={"state": states[0]}, most=most)
     first_difference: int | None = None
     for step in steps:
-        is_equal = env.scenario.world.states().tobytes() == states[step.row].tobytes()
+        is_equal = env.simulation.world.states().tobytes() == states[step.row].tobytes()
         if not is_equal or (step.is_over and step.row < most):
             first_difference = step.row
             break
     begins_at_reset = True
     if first_difference is not None:
         env.reset(seed=episode.seed)
-        begins_at_reset = env.scenario.world.states().tobytes() == states[0].tobytes()
+        begins_at_reset = env.simulation.world.states().tobytes() == states[0].tobytes()
     return ReplayResult(
         episode_id=episode.id, steps=most, first_difference=first_difference, begins_at_reset=begins_at_reset
     )

@@ -129,7 +129,7 @@ class ReplayScene:
         if not self.appearance.randomise:
             return env, None
         randomiser = NewAppearance(env, parts, self.appearance.looks_seed)
-        env.scenario.add_randomiser(randomiser)
+        env.simulation.add_randomiser(randomiser)
         return env, randomiser
 
     def info(self, env: Env, recorded: DatasetInfo, *, has_recorded_states: bool = False) -> DatasetInfo:
@@ -159,7 +159,7 @@ class NewAppearance(Randomiser):
         assert ranges is not None
         visual = Randomisation.off(**{name: getattr(ranges, name) for name in VISUAL})
         super().__init__(
-            env.scenario.world, visual, objects=parts.task.objects(), robots=parts.robots, cameras=parts.cameras
+            env.simulation.world, visual, objects=parts.task.objects(), robots=parts.robots, cameras=parts.cameras
         )
         self._seed = seed
         self.episode_id = ""

@@ -88,20 +88,20 @@ def _info(recorded: DatasetInfo, fresh: DatasetInfo) -> DatasetInfo:
 
 def _render(maker: EpisodeMaker, episode: EpisodeRecord) -> RerenderResult:
     """Render one episode: in each row, the cameras that have a frame due."""
-    scenario, info = maker.env.scenario, maker.writer.info
-    world = scenario.world
+    simulation, info = maker.env.simulation, maker.writer.info
+    world = simulation.world
     if episode.seed is None and maker.scene.physics.randomisation is not None:
         raise InvalidSetup(f"Episode {episode.id!r} was randomised without a seed, so its appearance is unknown.")
     states = episode.sim_state()
-    scenario.begin(EpisodeRandom(episode.seed or 0, 0))
+    simulation.begin(EpisodeRandom(episode.seed or 0, 0))
     port = next((port for port in maker.env.stack.ports if isinstance(port, SimCameraPort)), None)
     rows, fresh = _RecordedRows(episode, info), _FreshFrames(port, info)
     with maker.writer.episode(episode.id, seed=episode.seed, instruction=episode.instruction) as made:
         for i, state in enumerate(maker.transfer(states)):
             world.core.set_state(state)
             world.refresh()
-            if scenario.frame_clock is not None:  # the first row always has a frame
-                scenario.frame_clock.steps = np.array([round(float(world.time) * world.frequency) if i else 0])
+            if simulation.frame_clock is not None:  # the first row always has a frame
+                simulation.frame_clock.steps = np.array([round(float(world.time) * world.frequency) if i else 0])
             made.add({**rows.at(i), **fresh.read(rows.capture_times(i))}, states[i])
         made.finish(episode.success, {**episode.outcome, **maker.outcome(episode)})
     return RerenderResult(episode_id=episode.id, rows=len(states))

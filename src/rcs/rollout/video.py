@@ -71,7 +71,7 @@ class Film(Observer):
         if not env.is_simulated:
             raise InvalidSetup("Real devices have no picture to film; record them, and `rcs data view` shows frames.")
         self._env = env
-        self._picture = Picture(env.scenario.world, size=size, quality=quality)
+        self._picture = Picture(env.simulation.world, size=size, quality=quality)
         self._video: Video | None = None
 
     @contextmanager

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Area
 from rcs.sim.model_rows import ModelRows
 from rcs.sim.scene import FLOOR_HEIGHT, Scene
@@ -82,7 +82,7 @@ class Distractors:
     def reset(
         self,
         random: EpisodeRandom,
-        where: Where,
+        where: CopyIndex,
         area: Area,
         occupied: Iterable[Circle] = (),
         around: Circle | None = None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Judgement, Task
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
@@ -15,7 +15,7 @@ class Free(Task):
     def bind(self, world: World, robots: list[SimRobot]) -> None:
         """Look up nothing."""
 
-    def reset(self, random: EpisodeRandom, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Do nothing: the robot starts at home."""
 
     def evaluate(self) -> Judgement:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
 from rcs.tasks.lifting import any_of, norm
@@ -44,7 +44,7 @@ class HoldTimer:
         # Simulated time is a sum of many physics steps and has its rounding errors.
         self._enough = hold_time - 0.5 * float(world.model.opt.timestep)
 
-    def reset(self, where: Where) -> None:
+    def reset(self, where: CopyIndex) -> None:
         """Start again for some copies."""
         was = np.array(self._was)  # of one copy it is a number of NumPy's, which is faster than an array
         was[where] = False

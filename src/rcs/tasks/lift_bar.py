@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Judgement, Task
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
@@ -81,7 +81,7 @@ class LiftBar(Task):
         # The first robot stands on the left and takes the end at larger y.
         self._ends = np.stack([self._grasp_offset, -self._grasp_offset], axis=-1)
 
-    def reset(self, random: EpisodeRandom, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Put the bar at a random place, turned slightly."""
         self._measure()
         height = (self._table + self._half_edges[..., 2])[where]
@@ -93,7 +93,7 @@ class LiftBar(Task):
         """Return the bar's pose in the scene."""
         return {BAR: self._world.poses[..., self._pose, :].copy()}
 
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
         """Put the bar at a given pose."""
         if BAR in poses:
             self._body.place(poses[BAR], where)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rcs_data.record import Positive
 
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Task
 from rcs.sim.scene import TABLE, Scene
 from rcs.sim.world import World
@@ -35,7 +35,7 @@ class FreeBody:
         self._translation = slice(first, first + 3)
         self._quaternion = slice(first + 3, first + 7)
 
-    def place(self, pose: NDArray[np.float64], where: Where) -> None:
+    def place(self, pose: NDArray[np.float64], where: CopyIndex) -> None:
         """Put the bodies of some copies at poses in the scene, (*leading of these, 7) [m], xyzw."""
         self._qpos[where, self._translation] = pose[..., :3]
         self._qpos[where, self._quaternion] = xyzw_to_wxyz(pose[..., 3:])

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import FLOOR_HEIGHT, Scene
 from rcs.sim.world import World
@@ -68,7 +68,7 @@ class Obstacles:
         self._quat = world.core.component(state.mjSTATE_MOCAP_QUAT.value).reshape(*world.leading, -1, 4)
         self._ids = [int(world.model.body(name).mocapid[0]) for name in self.names]
 
-    def reset(self, random: EpisodeRandom, where: Where, middle: NDArray[np.float64]) -> list[Circle]:
+    def reset(self, random: EpisodeRandom, where: CopyIndex, middle: NDArray[np.float64]) -> list[Circle]:
         """Draw the obstacles of the next episodes of some copies.
 
         Args:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rcs_data.record import Meta
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Area, Judgement, Task
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
@@ -126,7 +126,7 @@ class PickCuboid(Task):
         # The pose for agents is in the base frame, which may be anywhere; the height is in the scene.
         self._in_scene = world.core.read_body_pose(model.body(CUBOID).id, 0)
 
-    def reset(self, random: EpisodeRandom, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Put the cuboid at a random place and yaw."""
         if self._sizes is not None:
             factor = random.branch("edges").uniform([EDGE_FACTORS[0]] * 3, [EDGE_FACTORS[1]] * 3)
@@ -159,7 +159,7 @@ class PickCuboid(Task):
         """Return the cuboid's pose in the scene."""
         return {CUBOID: self._world.poses[..., self._in_scene, :].copy()}
 
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
         """Put the cuboid at a given pose."""
         if CUBOID in poses:
             self._body.place(poses[CUBOID], where)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Judgement, Task
 from rcs.kinematics import kinematics_of
 from rcs.robots.description import GripperDescription, HandDescription
@@ -119,7 +119,7 @@ class PickToy(Task):
         self._home = home.tquat[:3]
         self._held = HoldTimer(world, self.options.hold_time, SHIFT, places=1)
 
-    def _measure(self, where: Where) -> NDArray[np.float64]:
+    def _measure(self, where: CopyIndex) -> NDArray[np.float64]:
         """Take over how large and heavy the toys are, which may vary between episodes.
 
         Returns:
@@ -134,7 +134,7 @@ class PickToy(Task):
         self._weight[where] = len(self._bodies) * mass * self._gravity
         return lying
 
-    def reset(self, random: EpisodeRandom, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Lay the toy down at a random place and yaw, as it lies under its own weight."""
         lying = self._measure(where)
         place = self.area.draw_place(random)
@@ -145,7 +145,7 @@ class PickToy(Task):
         """Return where the toy is: its centre and yaw, in the scene."""
         return {TOY: self._pose(self._present_nodes())}
 
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
         """Lay the toy down somewhere in the shape in which it lies; of its turn only the yaw counts."""
         if TOY not in poses:
             return
@@ -156,7 +156,7 @@ class PickToy(Task):
         self._lay(lying, pose[..., :2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)), where)
 
     def _lay(
-        self, lying: NDArray[np.float64], center: NDArray[np.float64], yaw: NDArray[np.float64], where: Where
+        self, lying: NDArray[np.float64], center: NDArray[np.float64], yaw: NDArray[np.float64], where: CopyIndex
     ) -> None:
         """Write lying nodes (..., nodes, 3) with their middle over a place (..., 2), turned by a yaw (..., 1)."""
         cos, sin = np.cos(yaw), np.sin(yaw)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rcs_data.record import Positive
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Judgement, Task
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import TABLE, Scene
@@ -88,7 +88,7 @@ class Place(Task):
         self._mark = MocapBody(world, MARK)
         self._geom = int(world.model.geom(CUBOID).id)
 
-    def reset(self, random: EpisodeRandom, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Put the cuboid and the mark at random places, the cuboid at any yaw."""
         height = self._world.field("geom_size")[..., self._geom, 2]  # varies between episodes
         table = table_height(self._world)[where]
@@ -103,7 +103,7 @@ class Place(Task):
         """Return the poses of the cuboid and of the mark in the scene."""
         return {name: self._world.poses[..., i, :].copy() for name, i in self._poses.items()}
 
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
         """Put the cuboid or the mark at a given pose."""
         if CUBOID in poses:
             self._body.place(poses[CUBOID], where)
@@ -129,7 +129,7 @@ class MocapBody:
         self._translation = slice(3 * which, 3 * which + 3)
         self._positions = world.core.component(state.mjSTATE_MOCAP_POS.value)
 
-    def place(self, pose: NDArray[np.float64], where: Where) -> None:
+    def place(self, pose: NDArray[np.float64], where: CopyIndex) -> None:
         """Put the bodies of some copies at places in the scene; poses are (*leading of these, 7) [m], untilted."""
         self._positions[where, self._translation] = pose[..., :3]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rcs_data.record import Positive
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Area, Judgement, Task
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
@@ -134,7 +134,7 @@ class Push(Task):
         self._half_edges = np.zeros((*world.leading, 3))
         self._table = table_height(world)
 
-    def reset(self, random: EpisodeRandom, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Put the block at a random place and yaw, and the goal somewhere else."""
         place = random.uniform(np.append(self._low, -np.pi), np.append(self._high, np.pi))
         goals = random.uniform(np.tile(self._low, (TRIES, 1)), np.tile(self._high, (TRIES, 1)))
@@ -162,7 +162,7 @@ class Push(Task):
         poses = self._world.poses
         return {BLOCK: poses[..., self._block_in_scene, :].copy(), GOAL: poses[..., self._goal_in_scene, :].copy()}
 
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
         """Put the block, the goal or both at given poses."""
         if BLOCK in poses:
             self._body.place(poses[BLOCK], where)

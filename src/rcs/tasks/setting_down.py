@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rcs_data.record import Positive
 
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Judgement, Task
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
@@ -72,7 +72,7 @@ class Delivery:
         self._was_delivered: NDArray[np.bool_] = np.zeros(world.leading, np.bool_)
         """Whether it was near its goal when the gripper held it last, after it had been lifted."""
 
-    def reset(self, where: Where, height: NDArray[np.float64]) -> None:
+    def reset(self, where: CopyIndex, height: NDArray[np.float64]) -> None:
         """Forget what happened in some copies, and take over how high above `at` the goals of all are [m]."""
         self._grip.reset()
         self._rest.reset(where)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.sim.model_rows import ModelRows
 from rcs.sim.world import World
 
@@ -42,7 +42,7 @@ class SizedBodies:
         self._mass, self._inertia = (ModelRows(world, field, bodies) for field in ("body_mass", "body_inertia"))
         self._bodies = bodies
 
-    def write(self, half: Extents, where: Where, density: float | None = None) -> None:
+    def write(self, half: Extents, where: CopyIndex, density: float | None = None) -> None:
         """Write the sizes of some copies.
 
         Args:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Judgement, Task
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import TABLE, Scene
@@ -74,7 +74,7 @@ class StackCuboid(Task):
         self._bodies = {name: FreeBody(world, name) for name in NAMES}
         self._geoms = [int(world.model.geom(name).id) for name in NAMES]
 
-    def reset(self, random: EpisodeRandom, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Put both cuboids at random places and yaws, apart from each other."""
         half_heights = self._world.field("geom_size")[..., self._geoms, 2]  # they vary between episodes
         heights = table_height(self._world)[..., None] + half_heights
@@ -88,7 +88,7 @@ class StackCuboid(Task):
         """Return the poses of both cuboids in the scene."""
         return {name: self._world.poses[..., i, :].copy() for name, i in self._poses.items()}
 
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
         """Put cuboids at given poses."""
         for name, pose in poses.items():
             if name in self._bodies:

@@ -104,16 +104,16 @@ class SafetyContract:
 
     def let_time_pass(self, env: Env) -> None:
         """Let `BRAKING` pass for the devices, without a step of the environment. To be overridden for devices."""
-        for _ in range(max(1, round(BRAKING * env.scenario.world.frequency))):
-            env.scenario.world.advance()
+        for _ in range(max(1, round(BRAKING * env.simulation.world.frequency))):
+            env.simulation.world.advance()
 
     def push(self, env: Env) -> None:
         """Move the first joint of every arm by `PUSH`, as a person would. To be overridden for devices."""
-        for robot in env.scenario.robots:
+        for robot in env.simulation.robots:
             joints = robot.joints
             joints[0] += PUSH
-            env.scenario.world.qpos[..., robot.layout.qpos] = joints
-        env.scenario.world.refresh()
+            env.simulation.world.qpos[..., robot.layout.qpos] = joints
+        env.simulation.world.refresh()
 
     @contextmanager
     def env(self) -> Generator[Env]:
@@ -332,7 +332,7 @@ def _arm(env: Env, breaks: _BreaksAt, where: str, error: BaseException) -> Calla
     if where == "the task":
         if not env.is_simulated:
             pytest.skip("there is no task")
-        return _raise_in(env.scenario.task, "evaluate", error)
+        return _raise_in(env.simulation.task, "evaluate", error)
     if where.endswith("a port"):
         return _raise_in(env.stack.ports[0], where.split()[0], error)
     breaks.where = where

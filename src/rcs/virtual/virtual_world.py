@@ -22,7 +22,7 @@ from rcs.devices import lookup
 from rcs.envs.assemble import compose
 from rcs.envs.episode_random import EpisodeRandom, check_seed
 from rcs.envs.setup import Setup
-from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.simulation import Simulation
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.setups.lab import lab_of
 from rcs.setups.make import resolve
@@ -85,7 +85,7 @@ class VirtualWorld:
         self.log = RobotLog(log, dofs, rate=self.rate, setup=parts.setup.to_json())
         self.robots = {robot.name: VirtualRobot(self.world, robot, self.log) for robot in parts.robots}
         """The robots by name."""
-        self._scenario = Scenario(self.world, [robot.body for robot in self.robots.values()], parts.task)
+        self._simulation = Simulation(self.world, [robot.body for robot in self.robots.values()], parts.task)
         self._judged_every = max(1, round(self.rate / parts.setup.frequency))
         self.success: bool | None = None
         """True if the task has been done since the objects were placed; None for a task without a goal."""
@@ -142,7 +142,7 @@ class VirtualWorld:
             )
         ]
         controls = self.world.ctrl.copy()
-        self._scenario.begin(random)
+        self._simulation.begin(random)
         for array, at, values in kept:
             array[at] = values
         self.world.ctrl[...] = controls
@@ -151,7 +151,7 @@ class VirtualWorld:
 
     def _judge(self) -> None:
         """Check whether the task is done, like an environment after each step."""
-        success = self._scenario.evaluate().success
+        success = self._simulation.evaluate().success
         if success is not None:
             self.success = bool(self.success) or bool(success)
 

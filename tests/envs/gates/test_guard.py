@@ -51,14 +51,14 @@ def plate_env(**options: Any) -> Env:
 
 def at_plate(env: Env, y: float = 0.15) -> None:
     """Put the plate beside the tool."""
-    tool = env.scenario.robots[0].tcp_tquat
-    env.scenario.world.data.mocap_pos[0] = (*(tool[:1] + env.robots["fr3"].base_in_scene.translation[0]), y, tool[2])
+    tool = env.simulation.robots[0].tcp_tquat
+    env.simulation.world.data.mocap_pos[0] = (*(tool[:1] + env.robots["fr3"].base_in_scene.translation[0]), y, tool[2])
 
 
 def ask(env: Env, start: Any, goal: Any) -> Mapping[str, Any]:
     """Return what the guard admits of a way between joints."""
     guard: Any = env.stack.gates[0]
-    env.scenario.robots[0].put(np.array(start))
+    env.simulation.robots[0].put(np.array(start))
     measured = {"": {"joints": np.array(start), "gripper": OPEN}}
     guard.reset(measured, ...)
     return guard.admit({"": {"joints": np.array(goal), "gripper": OPEN}}, measured)
@@ -79,7 +79,7 @@ def test_a_way_through_a_thin_plate_is_refused_though_both_its_ends_are_free(syn
     ask(sync, there, there)
     with pytest.raises(Refused, match=r"geom \d+ of body 'plate'.*keeps 10 mm"):
         ask(sync, here, there)
-    sync.scenario.world.data.mocap_pos[0] = (0, 5, 0)
+    sync.simulation.world.data.mocap_pos[0] = (0, 5, 0)
     assert ask(sync, here, there)[""]["joints"] is not None
 
 
@@ -110,7 +110,7 @@ def test_the_way_is_checked_from_where_the_arm_is_measured_too(sync: Env) -> Non
     at_plate(sync)
     guard: Any = sync.stack.gates[0]
     beyond = HOME + np.array([0.8, 0, 0, 0, 0, 0, 0])
-    sync.scenario.robots[0].put(HOME)
+    sync.simulation.robots[0].put(HOME)
     guard.reset({"": {"joints": HOME}}, ...)  # commanded here, but measured behind the plate
     with pytest.raises(Refused, match="'plate'"):
         guard.admit({"": {"joints": HOME, "gripper": OPEN}}, {"": {"joints": beyond, "gripper": OPEN}})
@@ -130,7 +130,7 @@ def test_what_is_in_fast_motion_keeps_the_way_that_it_needs_to_stop() -> None:
             refused_at = observation["joints"][0]
             for _ in range(30):
                 observation, *_, info = env.step({"joints": target, "gripper": OPEN})
-                assert env.scenario.world.data.ncon == 0
+                assert env.simulation.world.data.ncon == 0
             assert np.abs(observation["joint_velocities"]).max() < 0.3
             left.append(observation["joints"][0] - refused_at)
     assert left[1] > 5 * abs(left[0])
@@ -143,7 +143,7 @@ def test_what_is_admitted_touches_nothing_on_its_way_and_what_keeps_the_margin_i
     sync: Env, data: st.DataObject
 ) -> None:
     random = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
-    world = sync.scenario.world
+    world = sync.simulation.world
     model, probe = world.model, mujoco.MjData(world.model)
     lower, upper = np.array(FR3.joint_lower), np.array(FR3.joint_upper)
     start = random.uniform(lower, upper)
@@ -226,7 +226,7 @@ def test_what_a_gripper_holds_is_part_of_the_robot() -> None:
         target = {"tquat": observation["tquat"].copy(), "gripper": np.zeros(1, np.float32)}
         for _ in range(20):
             *_, info = env.step(target)
-        world, cuboid = env.scenario.world, env.scenario.world.data.body("cuboid")
+        world, cuboid = env.simulation.world, env.simulation.world.data.body("cuboid")
         # Below the cuboid, which reaches lower than the fingers.
         bottom = cuboid.xpos[2] - 0.5 * info["edges"][2]
         world.data.mocap_pos[0] = (cuboid.xpos[0], cuboid.xpos[1], bottom - 0.03)
@@ -259,7 +259,7 @@ def test_refused_all_robots_hold_and_the_episode_goes_on_or_ends_as_chosen() -> 
                 continue
             for _ in range(30):
                 observation, *_, info = env.step(down)
-            assert env.scenario.world.data.ncon < 20
+            assert env.simulation.world.data.ncon < 20
             assert observation["tquat"][2] > 0.0  # the fingers stay above the table
 
 
@@ -336,7 +336,7 @@ def test_a_check_that_is_late_or_dies_lets_nothing_through(monkeypatch: pytest.M
         monkeypatch.setattr(guard, "_sweep", die)
         with pytest.raises(RuntimeError, match="out of memory"):
             env.step(action)
-        np.testing.assert_allclose(env.scenario.robots[0].joints, start, atol=2e-3)
+        np.testing.assert_allclose(env.simulation.robots[0].joints, start, atol=2e-3)
 
 
 def test_a_real_arm_is_guarded_in_the_scene_that_its_body_is_in() -> None:

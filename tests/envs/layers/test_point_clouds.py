@@ -21,7 +21,7 @@ def test_points_of_the_cuboid_lie_within_a_millimetre_of_its_faces(seed: int) ->
     )
     observation, _ = env.reset(seed=seed)
     assert env.observation_space.contains(observation)
-    model, data = env.scenario.world.model, env.scenario.world.data
+    model, data = env.simulation.world.model, env.simulation.world.data
     assert data is not None
     number = env.stack.about["labels"]["instances"].index("cuboid")
     base = env.robots["fr3"].base_in_scene.pose.matrix

@@ -224,7 +224,7 @@ def test_a_simulation_that_diverges_is_kept_too(tmp_path: Path, monkeypatch: pyt
         recorder.name_next("a")
         env.reset(seed=0)
         env.step(env.action_space.sample())
-        env.scenario.world.qvel[0] = np.nan
+        env.simulation.world.qvel[0] = np.nan
         env.step(env.action_space.sample())
         env.close()
     episode = only_episode(tmp_path / "set")

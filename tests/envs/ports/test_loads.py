@@ -75,7 +75,7 @@ def test_a_policy_can_be_trained_on_the_state() -> None:
 def test_a_mark_that_only_the_task_places_is_observed_at_rest(task: str, name: str) -> None:
     envs: Any = rcs.make_vec(task, copies=2, observe=("privileged",))
     seen, _ = envs.reset(seed=0)
-    np.testing.assert_array_equal(seen["privileged"][name]["tquat"], envs.scenario.object_poses()[name])
+    np.testing.assert_array_equal(seen["privileged"][name]["tquat"], envs.simulation.object_poses()[name])
     np.testing.assert_array_equal(seen["privileged"][name]["velocity"], np.zeros((2, 6)))
 
 
@@ -90,7 +90,7 @@ def test_gymnasiums_checker_finds_nothing() -> None:
 def test_velocities_of_objects_are_the_rates_of_their_poses(task: str, robot: str, name: str) -> None:
     env: Any = rcs.make(task, robot=robot, observe=("privileged",), frequency=500.0, max_episode_steps=None)
     observation, _ = env.reset(seed=0)
-    world = env.scenario.world
+    world = env.simulation.world
     random = np.random.default_rng(0)
     model = world.model
     if task == "PickCuboid":
@@ -199,7 +199,7 @@ def test_a_real_arm_gives_what_it_measures() -> None:
 def test_the_port_of_objects_needs_a_task_with_objects() -> None:
     env: Any = rcs.make("Free")
     with pytest.raises(InvalidSetup, match="has no objects"):
-        PrivilegedPort(env.scenario.world, env.scenario.robots, env.scenario.task)
+        PrivilegedPort(env.simulation.world, env.simulation.robots, env.simulation.task)
 
 
 class Blocks(Free):

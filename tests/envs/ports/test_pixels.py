@@ -146,7 +146,7 @@ def test_a_state_that_is_written_is_drawn() -> None:
     envs = make_vec(Pixels(stack=2))
     envs.reset(seed=0)
     before = seen(envs.step(envs.action_space.sample())[0])
-    envs.scenario.world.qpos[1, :3] += 0.3
+    envs.simulation.world.qpos[1, :3] += 0.3
     now = seen(envs.stack.measure()[""])
     np.testing.assert_array_equal(now[[0, 2]], before[[0, 2]])
     np.testing.assert_array_equal(now[1, :3], before[1, :3])

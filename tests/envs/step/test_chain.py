@@ -120,11 +120,11 @@ def test_a_layer_whose_action_is_not_in_the_space_below_is_refused_before_anythi
 ) -> None:
     with rcs.make("Free", layers=[Short(change)]) as env:
         env.reset(seed=0)
-        assert env.scenario is not None
-        before = (env.scenario.world.qpos.copy(), env.scenario.world.time.copy())
+        assert env.simulation is not None
+        before = (env.simulation.world.qpos.copy(), env.simulation.world.time.copy())
         with pytest.raises(InvalidSetup, match=r"The layer Short gives the action " + words):
             env.step(action_of(env))
-        np.testing.assert_equal((env.scenario.world.qpos, env.scenario.world.time), before)
+        np.testing.assert_equal((env.simulation.world.qpos, env.simulation.world.time), before)
 
 
 def test_a_layer_that_returns_no_spaces_is_named() -> None:

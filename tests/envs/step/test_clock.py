@@ -127,7 +127,7 @@ def test_a_simulation_in_real_time_leads_its_arm_as_one_that_does_not_wait(
         with rcs.make("Free", stepping=stepping, max_episode_steps=None) as env:
             env.reset(seed=0)
             env.action_space.seed(0)
-            world = env.scenario.world
+            world = env.simulation.world
             rows: list[Any] = []
             world.on_period(lambda view, rows=rows: rows.append(view.ctrl.copy()), world.model.opt.timestep)
             for k in range(40):

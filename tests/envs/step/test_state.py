@@ -84,7 +84,7 @@ def test_a_state_from_before_the_first_load_has_none(copies: int | None) -> None
     actions = drawn(env, 3)
     before = env.get_state()
     unloaded = run(env, actions)
-    robot = env.unwrapped.scenario.robots[0]
+    robot = env.unwrapped.simulation.robots[0]
     robot.set_load(2.0)
     loaded_from = env.get_state()
     loaded = run(env, actions)

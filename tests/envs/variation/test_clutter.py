@@ -17,7 +17,7 @@ CLUTTER = Randomisation.off(distractors=4, table_height=0.02)
 
 def distractors(env: Any) -> np.ndarray:
     """Return the places of the distractors, (*leading, 4, 3)."""
-    world = env.scenario.world
+    world = env.simulation.world
     first = [int(world.model.joint(f"distractor {i}").qposadr[0]) for i in range(4)]
     return np.stack([world.qpos[..., i : i + 3] for i in first], axis=-2)
 
@@ -28,7 +28,7 @@ def test_distractors_stand_on_the_table_away_from_the_objects_of_the_task(task: 
     on_table = 0
     for seed in range(5):
         _, info = env.reset(seed=seed)
-        objects = env.scenario.task.object_poses()
+        objects = env.simulation.task.object_poses()
         places = distractors(env)
         height = info["randomisation"]["table_height"][0]
         is_on_table = places[:, 2] > 0.5 * FLOOR_HEIGHT
@@ -38,7 +38,7 @@ def test_distractors_stand_on_the_table_away_from_the_objects_of_the_task(task: 
         assert (places[is_on_table, 2] > height).all()
         before = places.copy()
         for _ in range(5):
-            env.scenario.world.core.advance()
+            env.simulation.world.core.advance()
         np.testing.assert_allclose(distractors(env)[is_on_table], before[is_on_table], atol=1e-3)
     assert on_table >= 5
 
@@ -54,7 +54,7 @@ def test_each_copy_has_the_clutter_of_its_single_environment_and_the_task_starts
             env.reset(seed=4 + copy)
             if copy == 1:
                 env.reset()
-        np.testing.assert_array_equal(single.scenario.world.states(), envs.scenario.world.states()[copy])
-        at, usual = (env.scenario.object_poses()["cuboid"] for env in (single, plain))
+        np.testing.assert_array_equal(single.simulation.world.states(), envs.simulation.world.states()[copy])
+        at, usual = (env.simulation.object_poses()["cuboid"] for env in (single, plain))
         np.testing.assert_array_equal(at[:2], usual[:2])
         np.testing.assert_array_equal(at[3:], usual[3:])

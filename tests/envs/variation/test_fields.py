@@ -35,12 +35,12 @@ FIELDS = ("geom_friction", "dof_armature", "geom_size", "geom_rbound", "geom_aab
 def states(env: Any, seed: int) -> np.ndarray:
     env.reset(seed=seed)
     action = {"joints": np.full(7, 0.01), "gripper": np.zeros(1, np.float32)}
-    return np.array([env.step(action) and env.scenario.world.states().copy() for _ in range(10)])
+    return np.array([env.step(action) and env.simulation.world.states().copy() for _ in range(10)])
 
 
 def test_a_named_field_varies_within_its_range_and_is_the_same_with_the_same_seed() -> None:
     env, again = (rcs.make("PickCuboid", randomisation=RANGES) for _ in range(2))
-    model = env.scenario.world.model
+    model = env.simulation.world.model
     nominal = {field: getattr(model, field).copy() for field in FIELDS}
     cuboid = model.geom("cuboid").id
     frictions = []
@@ -57,7 +57,7 @@ def test_a_named_field_varies_within_its_range_and_is_the_same_with_the_same_see
     assert 0.3 <= min(frictions) < 0.45 < 1.05 < max(frictions) <= 1.2
     np.testing.assert_array_equal(states(again, 7), states(env, 7))
     for field in FIELDS:
-        np.testing.assert_array_equal(getattr(model, field), getattr(again.scenario.world.model, field))
+        np.testing.assert_array_equal(getattr(model, field), getattr(again.simulation.world.model, field))
     assert not np.array_equal(states(env, 7), states(env, 8))
 
 
@@ -67,13 +67,13 @@ def test_a_copy_is_bit_for_bit_the_single_environment_with_its_seed() -> None:
     batch = []
     for _ in range(10):
         envs.step({"joints": np.full((3, 7), 0.01), "gripper": np.zeros((3, 1), np.float32)})
-        batch.append(envs.scenario.world.states().copy())
+        batch.append(envs.simulation.world.states().copy())
     for copy in range(3):
         single = rcs.make("PickCuboid", randomisation=RANGES)
         np.testing.assert_array_equal(states(single, 20 + copy), np.array(batch)[:, copy])
         for field in FIELDS:
-            ours = envs.scenario.world.field(field)
-            np.testing.assert_array_equal(ours[copy], getattr(single.scenario.world.model, field))
+            ours = envs.simulation.world.field(field)
+            np.testing.assert_array_equal(ours[copy], getattr(single.simulation.world.model, field))
 
 
 def test_a_recording_with_varied_fields_replays_bit_for_bit(tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ def test_a_state_has_the_varied_fields() -> None:
     other.set_state(env.get_state())
     for field in FIELDS:
         np.testing.assert_array_equal(
-            getattr(env.scenario.world.model, field), getattr(other.scenario.world.model, field)
+            getattr(env.simulation.world.model, field), getattr(other.simulation.world.model, field)
         )
 
 
@@ -102,7 +102,7 @@ def test_a_field_range_acts_on_what_earlier_ranges_have_made_of_the_field() -> N
         FieldRange("geom_friction", 0.5, 0.5, names="cuboid", operation="add", axes=(0,)),
     )
     env = rcs.make("PickCuboid", randomisation=Randomisation.off(friction=(0.5, 1.5), fields=fields))
-    model = env.scenario.world.model
+    model = env.simulation.world.model
     cuboid = model.geom("cuboid").id
     nominal = model.geom_friction[cuboid].copy()
     for seed in range(3):
@@ -140,7 +140,7 @@ def test_quaternions_and_axes_stay_of_unit_length_and_colours_within_their_range
     )
     env = rcs.make("PickCuboid", randomisation=Randomisation.off(fields=fields))
     env.reset(seed=0)
-    model = env.scenario.world.model
+    model = env.simulation.world.model
     np.testing.assert_allclose(np.linalg.norm(model.geom_quat, axis=1), 1.0)
     np.testing.assert_allclose(np.linalg.norm(model.jnt_axis[:7], axis=1), 1.0)
     assert model.geom_rgba.min() == 0.0
@@ -148,7 +148,7 @@ def test_quaternions_and_axes_stay_of_unit_length_and_colours_within_their_range
 
 
 def test_every_field_that_can_vary_does_so_in_a_batch() -> None:
-    model = rcs.make("PickCuboid").scenario.world.model
+    model = rcs.make("PickCuboid").simulation.world.model
     names = {"geom_size": "cuboid", "body_ipos": "fr3/*", "body_iquat": "fr3/*"}
     fields = tuple(
         FieldRange(field, 1e-3, 2e-3, names=names.get(field, "*"), operation="add")
@@ -158,7 +158,7 @@ def test_every_field_that_can_vary_does_so_in_a_batch() -> None:
     envs = rcs.make_vec("PickCuboid", copies=2, randomisation=Randomisation.off(fields=fields))
     envs.reset(seed=0)
     for one in fields:
-        own = envs.scenario.world.field(one.field)
+        own = envs.simulation.world.field(one.field)
         assert not np.array_equal(own[0], own[1]), one.field
 
 

@@ -55,10 +55,10 @@ def changed(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> set[str
 
 def states_after(env: Any, seed: int, steps: int = 20) -> np.ndarray:
     env.reset(seed=seed)
-    states = [env.scenario.world.states().copy()]
+    states = [env.simulation.world.states().copy()]
     for _ in range(steps):
         env.step(STEP)
-        states.append(env.scenario.world.states().copy())
+        states.append(env.simulation.world.states().copy())
     return np.array(states)
 
 
@@ -77,7 +77,7 @@ def test_the_same_seed_draws_the_same_in_every_episode_and_another_seed_somethin
         _, one = first.reset(seed=seed)
         _, two = second.reset(seed=seed)
         np.testing.assert_array_equal(flat(one["randomisation"]), flat(two["randomisation"]))
-        assert changed(fields_of(first.scenario.world.model), fields_of(second.scenario.world.model)) == set()
+        assert changed(fields_of(first.simulation.world.model), fields_of(second.simulation.world.model)) == set()
     episodes = [flat(first.reset(seed=seed)[1]["randomisation"]) for seed in (5, None, 6, 7)]
     assert len({drawn.tobytes() for drawn in episodes}) == 4
 
@@ -93,20 +93,20 @@ def test_a_copy_is_bit_for_bit_the_single_environment_with_its_seed() -> None:
     envs = rcs.make_vec("PickCuboid", copies=3, threads=2, randomisation=True, autoreset="Disabled")
     _, info = envs.reset(seed=20)
     steps = {"joints": np.tile(STEP["joints"], (3, 1)), "gripper": np.zeros((3, 1), np.float32)}
-    states = [envs.scenario.world.states().copy()]
+    states = [envs.simulation.world.states().copy()]
     for _ in range(20):
         envs.step(steps)
-        states.append(envs.scenario.world.states().copy())
+        states.append(envs.simulation.world.states().copy())
     for copy in range(3):
         single = make(Randomisation())
         np.testing.assert_array_equal(states_after(single, 20 + copy), np.array(states)[:, copy])
-        np.testing.assert_array_equal(flat(single.scenario.randomisation), flat(info["randomisation"], copy))
+        np.testing.assert_array_equal(flat(single.simulation.randomisation), flat(info["randomisation"], copy))
 
 
 def test_copies_that_start_anew_leave_the_others_as_they_are() -> None:
     envs = rcs.make_vec("PickCuboid", copies=3, randomisation=True, autoreset="Disabled")
     _, info = envs.reset(seed=0)
-    before, masses = info["randomisation"], envs.scenario.world.field("body_mass").copy()
+    before, masses = info["randomisation"], envs.simulation.world.field("body_mass").copy()
     kept = {key: values.copy() for key, values in before.items()}
     _, info = envs.reset(options={"reset_mask": np.array([True, False, True])})
     after = info["randomisation"]
@@ -114,9 +114,9 @@ def test_copies_that_start_anew_leave_the_others_as_they_are() -> None:
     single.reset(seed=0)
     single.reset()
     np.testing.assert_array_equal(flat(after, 1), flat(before, 1))
-    np.testing.assert_array_equal(flat(after, 0), flat(single.scenario.randomisation))
-    np.testing.assert_array_equal(envs.scenario.world.field("body_mass")[0], single.scenario.world.model.body_mass)
-    np.testing.assert_array_equal(envs.scenario.world.field("body_mass")[1], masses[1])
+    np.testing.assert_array_equal(flat(after, 0), flat(single.simulation.randomisation))
+    np.testing.assert_array_equal(envs.simulation.world.field("body_mass")[0], single.simulation.world.model.body_mass)
+    np.testing.assert_array_equal(envs.simulation.world.field("body_mass")[1], masses[1])
     for key, values in kept.items():  # what was told of an episode stays what it was
         np.testing.assert_array_equal(before[key], values)
 
@@ -135,16 +135,16 @@ def test_a_step_tells_what_was_drawn_for_the_episodes_that_start_in_it(autoreset
             assert info["randomisation"]["_object_mass"].all()
     assert len(starts) == 1
     assert (starts[0] != first).all()
-    np.testing.assert_array_equal(starts[0], envs.scenario.randomisation["object_mass"])
+    np.testing.assert_array_equal(starts[0], envs.simulation.randomisation["object_mass"])
 
 
 def test_ranges_of_no_width_change_nothing() -> None:
     plain, off = make(None), make(Randomisation.off())
     np.testing.assert_array_equal(states_after(plain, 3), states_after(off, 3))
-    assert changed(fields_of(plain.scenario.world.model), fields_of(off.scenario.world.model)) == set()
+    assert changed(fields_of(plain.simulation.world.model), fields_of(off.simulation.world.model)) == set()
     envs = rcs.make_vec("PickCuboid", copies=2, randomisation=Randomisation.off())
     _, info = envs.reset(seed=3)
-    assert not envs.scenario.world.core.is_varied
+    assert not envs.simulation.world.core.is_varied
     assert info["randomisation"] == {}
 
 
@@ -161,12 +161,12 @@ def test_each_range_changes_the_model_and_draws_from_a_stream_of_its_own(field: 
         Randomisation.off(**{field: EVERYTHING[field]}), cameras=rcs.Cameras(names=("wrist", "side"), image_size=8)
     )
     every = make(Randomisation(), cameras=rcs.Cameras(names=("wrist", "side"), image_size=8))
-    nominal = fields_of(alone.scenario.world.model)
-    alone.scenario.begin(EpisodeRandom(1, 0))
-    every.scenario.begin(EpisodeRandom(1, 0))
-    assert list(alone.scenario.randomisation) == [field]
-    np.testing.assert_array_equal(alone.scenario.randomisation[field], every.scenario.randomisation[field])
-    assert changed(fields_of(alone.scenario.world.model), nominal)
+    nominal = fields_of(alone.simulation.world.model)
+    alone.simulation.begin(EpisodeRandom(1, 0))
+    every.simulation.begin(EpisodeRandom(1, 0))
+    assert list(alone.simulation.randomisation) == [field]
+    np.testing.assert_array_equal(alone.simulation.randomisation[field], every.simulation.randomisation[field])
+    assert changed(fields_of(alone.simulation.world.model), nominal)
 
 
 @pytest.mark.parametrize("field", PHYSICS)
@@ -176,12 +176,12 @@ def test_each_physical_range_changes_the_motion(field: str) -> None:
     drop, push = [], []
     for env in (plain, varied):
         env.reset(seed=1)
-        world = env.scenario.world
+        world = env.simulation.world
         first = int(world.model.joint("cuboid").qposadr[0])
         world.qpos[first + 2] += 0.01
         world.qvel[-6:] = [0.5, 0.0, 0.0, 0.0, 1.0, 0.0]
         for _ in range(10):
-            robot = env.scenario.robots[0]
+            robot = env.simulation.robots[0]
             robot.command_joints(robot.joint_targets + 0.01)
             world.core.advance()
         drop.append(world.qpos[first:].copy())
@@ -262,7 +262,7 @@ def test_draws_fill_their_ranges_evenly() -> None:
 
 def test_masses_and_inertias_are_those_of_the_scaled_object() -> None:
     env = make(Randomisation.off(object_size=(1.3, 1.3), object_mass=(2.0, 2.0)))
-    model = env.scenario.world.model
+    model = env.simulation.world.model
     nominal = fields_of(model)
     env.reset(seed=0)
     body, geom = model.body("cuboid").id, model.geom("cuboid").id
@@ -320,7 +320,7 @@ def test_cameras_move_by_what_was_drawn() -> None:
         Randomisation.off(camera_translation=0.05, camera_rotation=0.1),
         cameras=rcs.Cameras(names=("side",), image_size=8),
     )
-    world = env.scenario.world
+    world = env.simulation.world
 
     def pose() -> tuple[np.ndarray, np.ndarray]:
         mujoco.mj_kinematics(world.model, world.data)

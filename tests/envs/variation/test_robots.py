@@ -27,7 +27,7 @@ def deflection(factor: float) -> float:
     """Return by how much a torque on the first joint turns it [rad]."""
     env = make(servo_stiffness=(factor, factor))
     env.reset(seed=0)
-    model, data = env.scenario.world.model, env.scenario.world.data
+    model, data = env.simulation.world.model, env.simulation.world.data
     data.qfrc_applied[0] = 5.0
     before = data.qpos[0]
     mujoco.mj_step(model, data, nstep=1500)
@@ -43,7 +43,7 @@ def test_a_servo_with_more_damping_follows_a_step_of_its_target_later() -> None:
     for factor in (0.8, 1.25):
         env = make(servo_damping=(factor, factor))
         env.reset(seed=0)
-        model, data = env.scenario.world.model, env.scenario.world.data
+        model, data = env.simulation.world.model, env.simulation.world.data
         before = data.qpos[0]
         data.ctrl[0] += 0.01
         mujoco.mj_step(model, data, nstep=50)
@@ -56,7 +56,7 @@ def held_cuboid(robot: str, **ranges: Any) -> tuple[Any, float]:
     env = make(robot, "PickCuboid", {"stepping": "async"}, **ranges)
     observation, _ = env.reset(seed=0)
     env.reset(seed=0, options={"objects": {"cuboid": observation["tquat"]}})
-    world = env.scenario.world
+    world = env.simulation.world
     world.model.opt.gravity[:] = 0.0
     for _ in range(40):
         env.step({"joints": np.zeros(len(home_of(env))), "gripper": np.zeros(1, np.float32)})
@@ -78,11 +78,11 @@ def test_a_gripper_grips_with_the_share_of_its_force_that_was_drawn(robot: str) 
 @pytest.mark.parametrize("field", ["friction", "object_friction"])
 def test_a_pulled_object_slips_or_holds_as_the_friction_that_was_drawn_says(field: str) -> None:
     env, grip = held_cuboid("fr3")
-    coefficient = float(env.scenario.world.model.geom("cuboid").friction[0])
+    coefficient = float(env.simulation.world.model.geom("cuboid").friction[0])
     pull = 2.0 * grip * coefficient
     for factor, slips in ((0.9, True), (1.15, False)):
         env, _ = held_cuboid("fr3", **{field: (factor, factor)})
-        model, data = env.scenario.world.model, env.scenario.world.data
+        model, data = env.simulation.world.model, env.simulation.world.data
         body, hand = model.body("cuboid").id, model.body("fr3/gripper/hand").id
         before = data.xpos[body] - data.xpos[hand]
         data.xfrc_applied[body, 2] = -pull
@@ -100,14 +100,14 @@ def test_objects_rest_on_a_table_of_any_height_and_cameras_stay(task: str, robot
         # The seed of which the height is near an end of the range.
         seed = next(s for s in range(100) if drawn_height(env, s) * np.sign(height) > 0.025)
         plain.reset(seed=seed)
-        (at,), (usual,) = env.scenario.object_poses().values(), plain.scenario.object_poses().values()
+        (at,), (usual,) = env.simulation.object_poses().values(), plain.simulation.object_poses().values()
         np.testing.assert_allclose(at - usual, [0, 0, drawn_height(env, seed), 0, 0, 0, 0], atol=1e-12)
-        world = env.scenario.world
+        world = env.simulation.world
         for _ in range(10):
             world.core.advance()
-        (rested,) = env.scenario.object_poses().values()
+        (rested,) = env.simulation.object_poses().values()
         np.testing.assert_allclose(rested[:3], at[:3], atol=1e-3)
-        np.testing.assert_array_equal(world.model.cam_pos, plain.scenario.world.model.cam_pos)
+        np.testing.assert_array_equal(world.model.cam_pos, plain.simulation.world.model.cam_pos)
 
 
 def drawn_height(env: Any, seed: int) -> float:
@@ -170,12 +170,12 @@ def test_robots_start_around_home_and_stay_there_whatever_the_latency() -> None:
 @pytest.mark.parametrize("robot", ["fr3", "ur5e", "so101", "dual_fr3"])
 def test_no_robot_starts_in_a_collision_or_outside_of_its_limits(robot: str) -> None:
     env = make(robot, robot_start=0.5)
-    world = env.scenario.world
+    world = env.simulation.world
     for seed in range(40):
         env.reset(seed=seed)
         mujoco.mj_forward(world.model, world.data)
         assert not (world.data.contact.dist < 0.0).any()
-        for one in env.scenario.robots:
+        for one in env.simulation.robots:
             arm = one.placement.arm
             assert (one.joints >= np.array(arm.joint_lower) - 1e-12).all()
             assert (one.joints <= np.array(arm.joint_upper) + 1e-12).all()

@@ -18,7 +18,7 @@ def session_of(task: str = "PickCuboid", robot: str = "fr3", **options: Any) -> 
 
 
 def cuboid(session: Session) -> np.ndarray:
-    return session.env.scenario.object_poses()["cuboid"]
+    return session.env.simulation.object_poses()["cuboid"]
 
 
 def test_what_a_person_plays_with_is_in_real_time_and_has_no_limit_of_steps() -> None:

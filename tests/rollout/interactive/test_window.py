@@ -83,7 +83,7 @@ def test_the_panels_own_reset_begins_an_episode_also_at_its_very_start(played: t
         turn(window, 1)
         assert (session.seed, session.steps) == (seed, 0)
         home = session.env.robots["left"].arm.home
-        np.testing.assert_allclose(session.world.qpos[session.env.scenario.robots[0].layout.qpos], home, atol=0.02)
+        np.testing.assert_allclose(session.world.qpos[session.env.simulation.robots[0].layout.qpos], home, atol=0.02)
     session.close()
 
 

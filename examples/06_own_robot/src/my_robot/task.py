@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents import Phase, Plan, Script, ScriptedArm
-from rcs.envs import EpisodeRandom, Judgement, Task, Where
+from rcs.envs import CopyIndex, EpisodeRandom, Judgement, Task
 from rcs.sim import Scene, SimRobot, World
 from rcs.tasks import FreeBody, add_box, upright
 
@@ -53,7 +53,7 @@ class PushToLine(Task):
         self._body = FreeBody(world, BLOCK)
         self._pose = world.read_pose(BLOCK)
 
-    def reset(self, random: EpisodeRandom, where: Where) -> None:
+    def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Lay the block down before the line. Arrays have a row per copy that starts, or no such axis for one alone."""
         x, y = self.area.center
         place = random.uniform([x - 0.05, y - 0.10, -0.2], [x + 0.03, y + 0.10, 0.2])
@@ -73,7 +73,7 @@ class PushToLine(Task):
         """Return where the block is, for recordings."""
         return {BLOCK: self._block()}
 
-    def place(self, poses: Any, where: Where) -> None:
+    def place(self, poses: Any, where: CopyIndex) -> None:
         """Put the block somewhere, for replays of real recordings."""
         if BLOCK in poses:
             self._body.place(poses[BLOCK], where)

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from rcs.envs.layers.layer import Where
+from rcs.envs.layers.layer import CopyIndex
 from rcs.envs.spaces import Action, Observation
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class Gate(ABC):
     def sent(self, targets: Mapping[str, Action]) -> None:  # noqa: B027  most gates do not remember
         """See what the devices were sent in the end, after all gates."""
 
-    def reset(self, measured: Mapping[str, Observation], where: Where) -> None:  # noqa: B027
+    def reset(self, measured: Mapping[str, Observation], where: CopyIndex) -> None:  # noqa: B027
         """Some copies start anew, where they are measured."""
 
     def rebase(self, measured: Mapping[str, Observation]) -> None:  # noqa: B027

@@ -18,7 +18,7 @@ from rcs._core import CollisionChecker
 from rcs.envs.gates.gate import Gate
 from rcs.envs.gates.guarded_motion import TICK, GuardedMotions
 from rcs.envs.gates.guarded_scene import Box, GuardedScene
-from rcs.envs.layers.layer import Where
+from rcs.envs.layers.layer import CopyIndex
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS, Action, Observation
 from rcs.errors import InvalidSetup, Refused
 from rcs.sim.scene import Scene
@@ -139,7 +139,7 @@ class Guard(Gate):
         self._finger_places = math.ceil(1.0 / parts.setup.frequency / TICK)
         self._is_batch = world is not None and bool(world.leading)
 
-    def reset(self, measured: Mapping[str, Observation], where: Where) -> None:
+    def reset(self, measured: Mapping[str, Observation], where: CopyIndex) -> None:
         """Count from where the robots are."""
         for name in self._names:
             joints = np.array(measured[name][JOINTS], np.float64)

@@ -6,8 +6,8 @@ from rcs.envs.layers.grasp_hand import GraspHand as GraspHand
 from rcs.envs.layers.keep_tilt import KeepTilt as KeepTilt
 from rcs.envs.layers.late_actions import LateActions as LateActions
 from rcs.envs.layers.layer import ActionSpaces as ActionSpaces
+from rcs.envs.layers.layer import CopyIndex as CopyIndex
 from rcs.envs.layers.layer import Layer as Layer
-from rcs.envs.layers.layer import Where as Where
 from rcs.envs.layers.layer import everywhere as everywhere
 from rcs.envs.layers.layer import renew as renew
 from rcs.envs.layers.limit_pose import LimitPose as LimitPose

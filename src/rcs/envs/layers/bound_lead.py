@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import TQUAT, XYZRPY, Action, Observation
 from rcs.errors import InvalidSetup
 
@@ -49,7 +49,7 @@ class BoundLead(Layer):
         self._bound = inner[XYZRPY].high
         return inner
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Start from where the TCP is, at rest."""
         place = observation[TQUAT][..., :3]
         self._last = renew(self._last, place, where)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import JOINTS, TQUAT, Action, Observation, require_direction, tquat_space
 from rcs.kinematics import IkStatus, Kinematics, freedom_of
 from rcs.kinematics.freedom import POSE
@@ -59,7 +59,7 @@ class CartesianControl(Layer):
             (TQUAT if key == JOINTS else key): (tquat_space() if key == JOINTS else box) for key, box in inner.items()
         }
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Start from the measured joints."""
         joints = observation[JOINTS]
         nothing = np.zeros(joints.shape[:-1], np.uint8)

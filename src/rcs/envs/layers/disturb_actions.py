@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import JOINTS, TWIST, XYZRPY, XYZYAW, Action, Observation
 from rcs.errors import InvalidSetup
 from rcs.sim.splitmix import GAMMA, mix, units
@@ -70,7 +70,7 @@ class DisturbActions(Layer):
             raise InvalidSetup("DisturbActions needs relative actions; the setup has relative='absolute'.")
         return dict(inner)
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Draw the noise of new episodes."""
         leading = observation[JOINTS].shape[:-1]
         keys = _hash(observation, np.zeros(leading, np.uint64))

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, XYZYAW, Action, Observation
 from rcs.errors import InvalidSetup
 from rcs.kinematics.freedom import POSE
@@ -59,7 +59,7 @@ class KeepTilt(Layer):
         self._leans = shape[0] < POSE
         return dict(inner)
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Remember how the tool is tilted; with five joints, how it would be if it leaned to no side."""
         start = _upright(observation[TQUAT]) if self._leans else observation[TQUAT]
         self._start = renew(self._start, start, where)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import Layer, Where, everywhere, renew
+from rcs.envs.layers.layer import CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS, Action, Observation
 from rcs.sim.splitmix import numbered
 
@@ -51,7 +51,7 @@ class LateActions(Layer):
         keys[... if copies is None else copies] = random.branch("late_actions").bits()
         self._keys = keys
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Count steps from 0; before the first action, the robot was told to stay."""
         self._last = {key: renew(self._last.get(key), value, where) for key, value in _commandable(observation).items()}
         self._steps = renew(self._steps, np.zeros_like(self._steps), where)

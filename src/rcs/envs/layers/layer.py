@@ -22,10 +22,10 @@ from rcs.envs.spaces import Action, Observation
 ActionSpaces = dict[str, spaces.Box]
 """Space of every key of an action."""
 
-Where = EllipsisType | NDArray[np.integer]
+CopyIndex = EllipsisType | NDArray[np.integer]
 """Which copies a reset is for: `...` for all, or their numbers. Indexes the first axis of a batch."""
 
-everywhere: Where = ...
+everywhere: CopyIndex = ...
 """All copies."""
 
 
@@ -44,7 +44,7 @@ class Layer:
         """Return the spaces of the observations that the layer gives, given those of the level below."""
         return dict(inner)
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Forget the last episode of some copies.
 
         Args:
@@ -87,7 +87,7 @@ class Layer:
         return type(self).__name__
 
 
-def renew(old: NDArray[Any] | None, new: NDArray[Any], where: Where) -> NDArray[Any]:
+def renew(old: NDArray[Any] | None, new: NDArray[Any], where: CopyIndex) -> NDArray[Any]:
     """Return `old` with the rows `where` taken from `new`; `new` if there is no old one."""
     if old is None or where is ...:
         return new.copy()

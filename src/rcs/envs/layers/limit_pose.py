@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import Layer, Where, everywhere, renew
+from rcs.envs.layers.layer import CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import TQUAT, Action, Observation, require_direction
 from rcs.spatial import distance, limit_step, normalize
 
@@ -44,7 +44,7 @@ class LimitPose(Layer):
         self._is_cut: NDArray[np.bool_] = np.zeros((), np.bool_)  # by the last map_action
         self._is_limited: NDArray[np.bool_] = np.zeros((), np.bool_)
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Start from the measured pose."""
         self._measured = measured = observation[TQUAT].copy()
         never = np.zeros(measured.shape[:-1], np.bool_)

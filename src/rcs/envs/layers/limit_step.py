@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import limit_rows
-from rcs.envs.layers.layer import Layer, Where, everywhere, renew
+from rcs.envs.layers.layer import CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import JOINTS, Action, Observation
 
 ROUNDING = 1e-9
@@ -63,7 +63,7 @@ class LimitStep(Layer):
         self._is_cut: NDArray[np.bool_] = np.zeros((), np.bool_)  # by the last map_action
         self._is_limited: NDArray[np.bool_] = np.zeros((), np.bool_)
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Start from the measured joints."""
         measured: NDArray[np.float64] = observation[JOINTS].copy()
         self._measured = measured

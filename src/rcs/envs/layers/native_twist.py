@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import TQUAT, TWIST, Action, Observation
 from rcs.spatial import Pose, compose
 
@@ -34,7 +34,7 @@ class NativeTwist(Layer):
         self._bound = inner[TWIST].high.astype(np.float64)
         return inner
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Start from the measured pose."""
         is_first = self._measured is None
         self._measured = measured = observation[TQUAT].copy()

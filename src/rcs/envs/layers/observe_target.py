@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import JOINTS, TARGET, TQUAT, Action, Observation, tquat_space
 
 
@@ -36,7 +36,7 @@ class ObserveTarget(Layer):
         """Add the key."""
         return {**inner, TARGET: spaces.Dict({self._key: inner[JOINTS] if self._key == JOINTS else tquat_space()})}
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Start with what is measured."""
         self._target = renew(self._target, observation[self._key], where)
 

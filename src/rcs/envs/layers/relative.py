@@ -9,7 +9,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import clip_rows
-from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, Action, Control, Observation, require_direction, xyzrpy_space
 from rcs.spatial import compose, distance, interpolate, normalize, xyzrpy_to_tquat
 
@@ -86,7 +86,7 @@ class Relative(Layer):
             for key, value in inner.items()
         }
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Start from the measured joints or pose."""
         self._reference = renew(self._reference, observation[self._key], where)
         self._last = renew(self._last, observation[self._key], where)

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import JOINTS, TQUAT, TWIST, Action, Observation
 from rcs.kinematics import IkStatus, Kinematics, VelocityOptions
 from rcs.kinematics.freedom import POSE
@@ -70,7 +70,7 @@ class TwistControl(Layer):
         own = spaces.Box(-self._bound, self._bound, dtype=np.float64)
         return {(TWIST if key == JOINTS else key): (own if key == JOINTS else box) for key, box in inner.items()}
 
-    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Start from the measured joints."""
         joints = observation[JOINTS]
         nothing = np.zeros(joints.shape[:-1], np.uint8)

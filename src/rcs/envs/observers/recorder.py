@@ -74,7 +74,7 @@ def dataset_info(
         Feature(key=TIME_MONOTONIC, shape=(), dtype="float64", unit="s"),
         Feature(key=TIME_PERIOD, shape=(), dtype="float64", unit="s"),
     ]
-    simulated = env.scenario if isinstance(env, VecEnv) or env.is_simulated else None
+    simulated = env.simulation if isinstance(env, VecEnv) or env.is_simulated else None
     if simulated is not None:
         features.append(Feature(key=SIMULATED_TIME, shape=(), dtype="float64", unit="s"))
     features += [Feature(key=f"time/{key}", shape=(), dtype="float64", unit="s") for key in env.stack.timed]

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import Layer, Where
+from rcs.envs.layers.layer import CopyIndex, Layer
 from rcs.envs.ports.port import Port
 from rcs.envs.spaces import ARM_KEYS, JOINTS, TWIST, Action, ActionCheck, Observation
 from rcs.errors import InvalidSetup, RcsError
@@ -137,7 +137,7 @@ class Chain:
             layer.rebase(observation)
             observation = layer.map_observation(observation)
 
-    def reset(self, observation: Observation, where: Where) -> None:
+    def reset(self, observation: Observation, where: CopyIndex) -> None:
         """Start episodes of some copies in all layers, with an observation of the lowest level.
 
         Raises:

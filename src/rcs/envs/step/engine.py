@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.spaces import Observation
 from rcs.envs.start import Start
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.exclusive_calls import ExclusiveCalls
 from rcs.envs.step.judge import FAULT, Judge, Step, row
 from rcs.envs.step.observers import Observers
-from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.simulation import Simulation
 from rcs.envs.step.stack import Nested, Stack, copied, for_all
 from rcs.errors import DeviceFault, InvalidAction, Refused, WrongOrder
 from rcs.sim.world import Copies
@@ -34,31 +34,31 @@ class Engine:
     """Makes steps. Whatever goes wrong from the first command on, all devices hold."""
 
     def __init__(
-        self, stack: Stack, clock: Clock, scenario: Scenario | None = None, *, max_episode_steps: int | None = None
+        self, stack: Stack, clock: Clock, simulation: Simulation | None = None, *, max_episode_steps: int | None = None
     ) -> None:
         """Put the parts together; nothing moves and nothing is connected before `start`.
 
         Args:
             stack: Ports, layers and gates.
             clock: Lets time pass.
-            scenario: A simulated world with its task; None for real devices alone.
+            simulation: A simulated world with its task; None for real devices alone.
             max_episode_steps: An episode is truncated after this many steps; None for no limit.
         """
         self.stack = stack
-        self.scenario = scenario
+        self.simulation = simulation
         self.calls = ExclusiveCalls()
-        self.leading: tuple[int, ...] = () if scenario is None else scenario.world.leading
+        self.leading: tuple[int, ...] = () if simulation is None else simulation.world.leading
         self.seeds = np.zeros(self.leading, np.int64)
         self.episodes = np.full(self.leading, -1, np.int64)
         """Number of the present episode since the seed was set."""
         self.is_over: NDArray[np.bool_] = np.zeros(self.leading, np.bool_)
         """Which copies' episodes are over."""
         self.is_open = True
-        self.instruction = "" if scenario is None else scenario.task.instruction
+        self.instruction = "" if simulation is None else simulation.task.instruction
         self._clock = clock
-        self._judge = Judge(stack, clock, scenario, max_episode_steps)
-        self.observers = Observers(stack, clock, scenario)
-        self._resources: list[Callable[[], None]] = [] if scenario is None else [scenario.world.close]
+        self._judge = Judge(stack, clock, simulation, max_episode_steps)
+        self.observers = Observers(stack, clock, simulation)
+        self._resources: list[Callable[[], None]] = [] if simulation is None else [simulation.world.close]
         self._is_started = False
         self._broken_off_by = ""
         self._must_rebase = False
@@ -90,11 +90,11 @@ class Engine:
         copies = copies if self._is_started else None
         try:
             self._begin(copies)
-            if self.scenario is not None and state is not None:
-                self.scenario.world.core.set_state(state)
-                self.scenario.world.refresh()
-            if self.scenario is not None and start is not None:
-                self.scenario.start_at(start)
+            if self.simulation is not None and state is not None:
+                self.simulation.world.core.set_state(state)
+                self.simulation.world.refresh()
+            if self.simulation is not None and start is not None:
+                self.simulation.start_at(start)
             self.stack.open()
             self._require_no_fault()
             self._clock.reset()
@@ -104,14 +104,14 @@ class Engine:
                 self._approach(approach)
                 self._clock.reset()
                 observation = self.observe_start(copies)
-            if self.scenario is not None:
-                self.scenario.judge_start(copies)
+            if self.simulation is not None:
+                self.simulation.judge_start(copies)
         except BaseException as err:
             self._break_off(err)
             raise
         self._must_rebase = False
         self._is_started, self._broken_off_by = True, ""
-        info = {} if self.scenario is None else self.scenario.describe()
+        info = {} if self.simulation is None else self.simulation.describe()
         info.update(time=self._judge.time(), instruction=np.full(self.leading, self.instruction, object))
         info = info if self.leading else row(info, ...)
         self.observers.on_reset(observation, info, self._seeds_of(copies))
@@ -126,9 +126,9 @@ class Engine:
         try:
             self._begin(copies)
             observation = self.observe_start(copies)
-            if self.scenario is not None:
-                self.scenario.judge_start(copies)
-                info = {**self.scenario.describe(), "time": self._judge.time()}
+            if self.simulation is not None:
+                self.simulation.judge_start(copies)
+                info = {**self.simulation.describe(), "time": self._judge.time()}
                 self.observers.on_reset(observation, info, self._seeds_of(copies))
         except BaseException as err:
             self._break_off(err)
@@ -140,13 +140,13 @@ class Engine:
             raise DeviceFault(f"Devices are in their fault state: {_listed(faults)}. Clear it with env.recover().")
 
     def _begin(self, copies: Copies) -> None:
-        where: Where = ... if copies is None else copies
+        where: CopyIndex = ... if copies is None else copies
         self.episodes[where] += 1
         self._make_arrays()
         self._judge.steps[where] = 0
         self.is_over[where] = False
-        if self.scenario is not None:
-            self.scenario.begin(EpisodeRandom(self.seeds[where], self.episodes[where]), copies)
+        if self.simulation is not None:
+            self.simulation.begin(EpisodeRandom(self.seeds[where], self.episodes[where]), copies)
 
     def observe_start(self, copies: Copies = None) -> Observation:
         """Observe the start of the episodes of some copies."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rcs._core import StepEnd
 from rcs.envs.spaces import Observation
 from rcs.envs.step.clock import Clock
-from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.simulation import Simulation
 from rcs.envs.step.stack import Stack, copied
 
 DIVERGED, FAULT = "diverged", "fault"
@@ -47,20 +47,22 @@ class Judge:
     A single environment has NumPy's numbers where a batch has arrays, because they are faster.
     """
 
-    def __init__(self, stack: Stack, clock: Clock, scenario: Scenario | None, max_episode_steps: int | None) -> None:
+    def __init__(
+        self, stack: Stack, clock: Clock, simulation: Simulation | None, max_episode_steps: int | None
+    ) -> None:
         """Judge steps of these parts.
 
         Args:
             stack: Ports and layers, which add to `info`.
             clock: Knows why steps ended and what time it is.
-            scenario: The simulated world with its task; None for real devices alone.
+            simulation: The simulated world with its task; None for real devices alone.
             max_episode_steps: An episode is truncated after this many steps; None for no limit.
         """
         self._stack = stack
         self._clock = clock
-        self._scenario = scenario
+        self._simulation = simulation
         self._max_episode_steps = max_episode_steps
-        self._leading: tuple[int, ...] = () if scenario is None else scenario.world.leading
+        self._leading: tuple[int, ...] = () if simulation is None else simulation.world.leading
         self._ends: NDArray[np.uint8] = clock.ends.reshape(self._leading)
         self.steps: NDArray[np.int64] = np.zeros(self._leading, np.int64)
         """Steps of the present episodes, (*leading,)."""
@@ -83,8 +85,8 @@ class Judge:
         return _with_rows(new, last, diverged if self._leading else ...) if diverged.any() else new
 
     def collisions(self, failed: NDArray[np.bool_]) -> dict[str, Any]:
-        """Return the reasons for which copies of the simulation failed, as in `Scenario.faults`."""
-        return {} if self._scenario is None else self._scenario.faults(failed & (self._ends != _FAILED))
+        """Return the reasons for which copies of the simulation failed, as in `Simulation.faults`."""
+        return {} if self._simulation is None else self._simulation.faults(failed & (self._ends != _FAILED))
 
     def judge(
         self,
@@ -106,8 +108,8 @@ class Judge:
         never: Any = np.zeros(self._leading, np.bool_) if self._leading else np.False_
         terminated, truncated = never, never if failed is None else failed
         info: dict[str, Any] = {}
-        if self._scenario is not None:
-            judgement = self._scenario.evaluate()
+        if self._simulation is not None:
+            judgement = self._simulation.evaluate()
             info = judgement.info
             if judgement.terminated is not None:
                 terminated = judgement.terminated if starting is None else judgement.terminated & ~starting
@@ -115,9 +117,9 @@ class Judge:
             if failed is not None or faults:
                 terminated = terminated & ~lost
             diverged = None if failed is None else failed & (self._ends == _FAILED)
-            rewards = self._scenario.rewards
+            rewards = self._simulation.rewards
             reward = rewards.pay(judgement, terminated=terminated, failed=lost, diverged=diverged, starting=starting)
-            self._scenario.require_reward(reward, judgement)
+            self._simulation.require_reward(reward, judgement)
         if self._max_episode_steps is not None:
             is_last = (self.steps >= self._max_episode_steps) & ~terminated
             truncated = truncated | (is_last if starting is None else is_last & ~starting)
@@ -145,9 +147,9 @@ class Judge:
 
     def time(self) -> Any:
         """Return the time of the present observation [s]: that of the simulation, or the host's monotonic clock."""
-        if self._scenario is None:
+        if self._simulation is None:
             return np.float64(self._clock.now())
-        return self._scenario.world.time.copy()
+        return self._simulation.world.time.copy()
 
     def collided(self, step: Step) -> NDArray[np.intp]:
         """Return the copies of a batch whose episode a collision ended in a step."""

@@ -12,19 +12,19 @@ from rcs.envs.observer import Observer, Transition
 from rcs.envs.spaces import Observation
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.judge import Step, row
-from rcs.envs.step.scenario import Scenario
+from rcs.envs.step.simulation import Simulation
 from rcs.envs.step.stack import Stack, for_all
 
 
 class Observers:
     """Observers, each of one copy. Transitions are put together only while there are observers."""
 
-    def __init__(self, stack: Stack, clock: Clock, scenario: Scenario | None) -> None:
+    def __init__(self, stack: Stack, clock: Clock, simulation: Simulation | None) -> None:
         """Start without observers."""
         self._stack = stack
         self._clock = clock
-        self._scenario = scenario
-        self._is_batch = scenario is not None and bool(scenario.world.leading)
+        self._simulation = simulation
+        self._is_batch = simulation is not None and bool(simulation.world.leading)
         self._observers: list[tuple[int, Observer]] = []
         self._notes: dict[str, Any] = {}
         self.command_time: float | None = None
@@ -83,14 +83,14 @@ class Observers:
     def _transition(
         self, copy: int, observation: Observation, info: dict[str, Any], step: Step | None = None, action: Any = None
     ) -> Transition:
-        scenario = self._scenario
+        simulation = self._simulation
         executed = None if step is None else self._stack.executed
         reward, terminated, truncated = (0.0, False, False) if step is None else _ends(step, copy, self._is_batch)
         if self._is_batch:
             observation, info = row(observation, copy), row(info, copy)
             action = None if action is None else row(action, copy)
             executed = None if executed is None else row(executed, copy)
-        objects = {} if scenario is None else scenario.object_poses()
+        objects = {} if simulation is None else simulation.object_poses()
         return Transition(
             observation=observation,
             action=action,
@@ -103,7 +103,7 @@ class Observers:
             command_time=None if step is None else self.command_time,
             after_hold=step is not None and self.after_hold,
             capture_times=row(self._stack.capture_times(), copy) if self._is_batch else self._stack.capture_times(),
-            sim_state=None if scenario is None else scenario.world.core.get_state(copy),
+            sim_state=None if simulation is None else simulation.world.core.get_state(copy),
             objects=row(objects, copy) if self._is_batch else objects,
             notes=self._notes,
         )

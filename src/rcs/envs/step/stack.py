@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from rcs.envs.gates.gate import Gate
-from rcs.envs.layers.layer import Layer, Where
+from rcs.envs.layers.layer import CopyIndex, Layer
 from rcs.envs.ports.port import Port, is_streamed
 from rcs.envs.spaces import Action, Observation
 from rcs.envs.step.chain import Chain
@@ -210,7 +210,7 @@ class Stack:
         """Map the observations of the lowest level up through all layers, into the form that users see."""
         return self._squeeze({name: chain.lift(measured[name]) for name, chain in self.chains.items()})
 
-    def reset(self, measured: Nested, where: Where) -> None:
+    def reset(self, measured: Nested, where: CopyIndex) -> None:
         """Start episodes of some copies in all layers and gates, with the lowest level's observations."""
         for name, chain in self.chains.items():
             chain.reset(measured[name], where)

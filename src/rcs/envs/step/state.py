@@ -59,8 +59,8 @@ def read_state(engine: Engine, copies: NDArray[np.int32]) -> EnvState:
     Raises:
         WrongOrder: The environment drives real devices, or its first episode has not begun.
     """
-    scenario = engine.scenario
-    if scenario is None or any(port.can_fail for port in engine.stack.ports):
+    simulation = engine.simulation
+    if simulation is None or any(port.can_fail for port in engine.stack.ports):
         raise WrongOrder("The state of real devices can neither be read nor set; it can in simulation.")
     engine.require_running()
     engine.rebase_if_held()
@@ -68,10 +68,10 @@ def read_state(engine: Engine, copies: NDArray[np.int32]) -> EnvState:
     memory = {name: _rows_of(part, own, copies) for name, (part, own) in _parts(engine).items()}
     return EnvState(
         origin=_origin(engine),
-        world=scenario.world.save(copies),
+        world=simulation.world.save(copies),
         episode={name: np.atleast_1d(own)[copies] for name, own in engine.counters().items()},
         memory={name: rows for name, rows in memory.items() if rows},
-        fields={name: _row(scenario.world.field(name), leading, copies) for name in scenario.world.varied},
+        fields={name: _row(simulation.world.field(name), leading, copies) for name in simulation.world.varied},
     )
 
 
@@ -93,8 +93,8 @@ def write_state(engine: Engine, state: EnvState, copies: NDArray[np.int32]) -> O
         state = state[np.zeros(len(copies), np.intp)]
     if len(state) != len(copies):
         raise InvalidSetup(f"The state is of {len(state)} copies; valid is one, or as many as are set, {len(copies)}.")
-    assert engine.scenario is not None, "read_state has checked it"
-    world = engine.scenario.world
+    assert engine.simulation is not None, "read_state has checked it"
+    world = engine.simulation.world
     # What the state has no values for was not varied when it was read.
     nominal = {name: np.repeat(world.nominal(name)[None], len(copies), axis=0) for name in world.varied}
     state = replace(state, fields={**nominal, **state.fields})
@@ -128,17 +128,17 @@ def _write_memory(engine: Engine, state: EnvState, copies: NDArray[np.int32]) ->
 
 def _parts(engine: Engine) -> dict[str, tuple[Any, tuple[int, ...]]]:
     """Return whatever remembers something beside the world, by name, with the leading shape of its arrays."""
-    scenario = engine.scenario
-    assert scenario is not None, "it is simulated"
+    simulation = engine.simulation
+    assert simulation is not None, "it is simulated"
     leading = engine.leading
     parts: dict[str, tuple[Any, tuple[int, ...]]] = {
-        "task": (scenario.task, leading),
-        "rewards": (scenario.rewards, leading),
+        "task": (simulation.task, leading),
+        "rewards": (simulation.rewards, leading),
     }
-    for i, randomiser in enumerate(scenario.randomisers):
+    for i, randomiser in enumerate(simulation.randomisers):
         parts[f"randomiser {i}"] = randomiser, leading
-    if scenario.frame_clock is not None:
-        parts["frame clock"] = scenario.frame_clock, (scenario.world.copies,)
+    if simulation.frame_clock is not None:
+        parts["frame clock"] = simulation.frame_clock, (simulation.world.copies,)
     for chain, own in engine.stack.chains.items():
         for i, part in enumerate([*own.layers, *own.ports]):
             parts[f"{chain}{'/' if chain else ''}{i} {type(part).__name__}"] = part, leading
@@ -148,12 +148,12 @@ def _parts(engine: Engine) -> dict[str, tuple[Any, tuple[int, ...]]]:
 
 
 def _origin(engine: Engine) -> dict[str, Any]:
-    scenario = engine.scenario
-    assert scenario is not None, "it is simulated"
-    world = scenario.world
+    simulation = engine.simulation
+    assert simulation is not None, "it is simulated"
+    world = simulation.world
     return {
-        "task": type(scenario.task).__name__,
-        "robots": [robot.placement.name for robot in scenario.robots],
+        "task": type(simulation.task).__name__,
+        "robots": [robot.placement.name for robot in simulation.robots],
         "stepping": world.stepping,
         "frequency": world.frequency,
         "physics step": world.model.opt.timestep,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Area, Task
 from rcs.sim.model_rows import ObjectParts
 from rcs.sim.scene import Scene
@@ -33,7 +33,7 @@ class Clutter(Protocol):
     def reset(
         self,
         random: EpisodeRandom,
-        where: Where,
+        where: CopyIndex,
         area: Area,
         occupied: Iterable[tuple[NDArray[np.float64], NDArray[np.float64]]] = (),
     ) -> None:
@@ -58,7 +58,7 @@ class ObjectCircles:
         self._task = task
         self._parts: dict[str, ObjectParts] = {}
 
-    def at(self, where: Where) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    def at(self, where: CopyIndex) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """Return the present circles of some copies, as `Clutter.reset` takes them; the world is refreshed."""
         poses = self._task.object_poses()
         if not self._parts:

@@ -87,7 +87,7 @@ class Session(Closing):
     @property
     def world(self) -> World:
         """The simulated world."""
-        return self.env.scenario.world
+        return self.env.simulation.world
 
     @property
     def has_agent(self) -> bool:

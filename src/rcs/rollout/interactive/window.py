@@ -98,7 +98,7 @@ class Window:
         if changed.size:
             wanted = world.ctrl.copy()
             world.ctrl[...] = before  # the environment's layers decide what is sent
-            for robot in session.env.scenario.robots:
+            for robot in session.env.simulation.robots:
                 lead_by_controls(robot, session.guides[robot.placement.name], changed, wanted)
 
     def __enter__(self) -> Self:

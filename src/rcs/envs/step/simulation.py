@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.layers import Where
+from rcs.envs.layers import CopyIndex
 from rcs.envs.reward import RewardKind, Rewards
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS
 from rcs.envs.start import Start, in_frame_of
@@ -23,7 +23,7 @@ from rcs.sim.robot import SimRobot
 from rcs.sim.world import Copies, World
 
 
-class Scenario:
+class Simulation:
     """World, robots and task, for one copy and for many."""
 
     def __init__(
@@ -84,7 +84,7 @@ class Scenario:
             random: Random numbers for these copies.
             copies: Which copies; None for all.
         """
-        where: Where = ... if copies is None else copies
+        where: CopyIndex = ... if copies is None else copies
         for randomiser in self.randomisers:
             randomiser.begin(random, copies)
         if self.frame_clock is not None:
