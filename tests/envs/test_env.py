@@ -348,3 +348,18 @@ def test_every_device_is_closed_also_when_one_fails_to(make_bench) -> None:
 
 def _fail() -> None:
     raise OSError("no answer")
+
+
+def test_an_attribute_of_other_libraries_names_the_place_here() -> None:
+    with rcs.make("Free") as env:
+        for name, place in (("model", "env.scenario.world.model"), ("task", "env.scenario.task"), ("sim", "world")):
+            with pytest.raises(AttributeError, match=place):
+                getattr(env, name)
+        assert not hasattr(env, "anything")
+
+
+def test_a_gripper_takes_a_plain_number() -> None:
+    with rcs.make("Free") as env:
+        env.reset(seed=0)
+        observation, *_ = env.step({"joints": [0.0] * 7, "gripper": 1.0})
+        assert env.observation_space.contains(observation)

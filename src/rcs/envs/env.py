@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, SupportsFloat
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium
 import numpy as np
@@ -32,6 +32,23 @@ __all__ = ["DIVERGED", "FAULT", "Env"]
 
 _ONLY = np.zeros(1, np.int32)
 """The copies of a single environment."""
+
+
+PLACES = {
+    "task": "env.scenario.task",
+    "world": "env.scenario.world",
+    "sim": "env.scenario.world",
+    "model": "env.scenario.world.model",
+    "data": "env.scenario.world.data, or env.get_state()",
+    "robot": "env.setup.robot, or env.stack for its ports and layers",
+    "robots": "env.setup.robot, or env.stack for their ports and layers",
+    "seed": "env.reset(seed=...)",
+    "observation": "what env.reset and env.step return",
+    "get_obs": "what env.reset and env.step return",
+    "expert": "rcs.agents.agent_for(env)",
+    "num_envs": "rcs.make_vec(task, copies=...)",
+}
+"""Names that other libraries have on an environment, and where their contents are."""
 
 
 class Env(gymnasium.Env[Observation, dict[str, Any]]):
@@ -99,6 +116,17 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             "render_modes": ["human", "rgb_array", "rgb_array_list"],
             "render_fps": max(1, round(clock.frequency)),
         }
+
+    if not TYPE_CHECKING:  # type checkers refuse what is not there
+
+        def __getattr__(self, name: str) -> Any:
+            """Name the place of what people look for here.
+
+            Raises:
+                AttributeError: Always.
+            """
+            hint = f" Use {PLACES[name]}." if name in PLACES else ""
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}.{hint}")
 
     @property
     def stack(self) -> Stack:

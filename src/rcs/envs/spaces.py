@@ -311,7 +311,8 @@ def _as_numbers(key: str, given: Any, box: spaces.Box) -> NDArray[Any]:
         raise InvalidAction(f"Action {key!r} is not an array: {err}") from err
     if array.dtype.kind not in "fiu":
         raise InvalidAction(f"Action {key!r} has dtype {array.dtype}; valid is {box.dtype} or another number type.")
-    return np.ascontiguousarray(array, box.dtype).reshape(array.shape)
+    shape = (1,) if array.shape == () and box.shape == (1,) else array.shape  # a plain number for a gripper
+    return np.ascontiguousarray(array, box.dtype).reshape(shape)
 
 
 def _describe_keys(action: Any, boxes: Mapping[str, spaces.Box]) -> str:

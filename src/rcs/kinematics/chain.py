@@ -8,6 +8,7 @@ from typing import Literal, get_args, overload
 import mujoco
 
 from rcs._core import DampedLeastSquares, Kinematics
+from rcs.devices import lookup
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.description import (
     ArmDescription,
@@ -136,18 +137,20 @@ def mount_frame(body: mujoco.MjsBody, mount: Mount, *, inside: mujoco.MjsFrame |
 
 @overload
 def kinematics_of(
-    arm: ArmDescription, gripper: EndEffector | None = None, *, backend: Literal["mujoco"] = "mujoco"
+    arm: ArmDescription | str, gripper: EndEffector | str | None = None, *, backend: Literal["mujoco"] = "mujoco"
 ) -> DampedLeastSquares: ...
 @overload
-def kinematics_of(arm: ArmDescription, gripper: EndEffector | None = None, *, backend: Backend) -> Kinematics: ...
 def kinematics_of(
-    arm: ArmDescription, gripper: EndEffector | None = None, *, backend: Backend = "mujoco"
+    arm: ArmDescription | str, gripper: EndEffector | str | None = None, *, backend: Backend
+) -> Kinematics: ...
+def kinematics_of(
+    arm: ArmDescription | str, gripper: EndEffector | str | None = None, *, backend: Backend = "mujoco"
 ) -> Kinematics:
     """Make the kinematics of an arm: of its TCP with a gripper, of its flange without.
 
     Args:
-        arm: The arm.
-        gripper: The gripper or hand at its flange.
+        arm: The arm, or its name.
+        gripper: The gripper or hand at its flange, or its name.
         backend: `mujoco` for the built-in solver; `pinocchio` for a slower one, an extra.
 
     Returns:
@@ -160,18 +163,21 @@ def kinematics_of(
     """
     if backend not in get_args(Backend):
         raise InvalidSetup(f"backend is {backend!r}; valid: {', '.join(map(repr, get_args(Backend)))}.")
-    spec = load(arm)
-    tcp = arm.flange_site
-    if gripper is not None:
-        attach_end_effector(spec, arm, gripper)
-        tcp = GRIPPER_PREFIX + gripper.tcp_site
-    model = compiled(spec, [arm] if gripper is None else [arm, gripper])
+    of_arm: ArmDescription = lookup.find("arm", arm)
+    kind = "hand" if gripper in lookup.names("hand") else "gripper"
+    of_gripper: EndEffector | None = lookup.find(kind, gripper)
+    spec = load(of_arm)
+    tcp = of_arm.flange_site
+    if of_gripper is not None:
+        attach_end_effector(spec, of_arm, of_gripper)
+        tcp = GRIPPER_PREFIX + of_gripper.tcp_site
+    model = compiled(spec, [of_arm] if of_gripper is None else [of_arm, of_gripper])
     # What devices and action spaces check; the file may allow more.
-    for name, *limits in zip(arm.joints, arm.joint_lower, arm.joint_upper, strict=True):
+    for name, *limits in zip(of_arm.joints, of_arm.joint_lower, of_arm.joint_upper, strict=True):
         model.joint(name).range[:] = limits
         model.jnt_limited[model.joint(name).id] = True
-    joints = [model.joint(name).id for name in arm.joints]
-    site, base = model.site(tcp).id, model.body(arm.base_body).id
+    joints = [model.joint(name).id for name in of_arm.joints]
+    site, base = model.site(tcp).id, model.body(of_arm.base_body).id
     if backend == "mujoco":
         return DampedLeastSquares(model, joints, site, base)
     from rcs.kinematics.pinocchio import PinocchioKinematics

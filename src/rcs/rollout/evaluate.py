@@ -232,7 +232,7 @@ class _MakeRemote:
 
 
 def evaluate(
-    evaluation: Evaluation,
+    evaluation: Evaluation | Setup | str,
     summary: Summary | None = None,
     *,
     env: Env | None = None,
@@ -244,7 +244,7 @@ def evaluate(
     Closing the iterator, or setting `summary.is_interrupted`, ends the evaluation after the episodes at work.
 
     Args:
-        evaluation: What to evaluate.
+        evaluation: Setup, agent and number of episodes; a setup or the name of a task for 50 episodes of its expert.
         summary: Takes the attempts.
         env: An environment of the evaluation's setup, simulated or real, to use in this process; made when not given.
             It is closed in the end.
@@ -255,6 +255,8 @@ def evaluate(
         InvalidSetup: The setup makes no sense, there is no such agent, or videos are asked of real devices alone.
         RcsError: A worker process died, or the cluster cannot be reached.
     """
+    if not isinstance(evaluation, Evaluation):
+        evaluation = Evaluation(setup=evaluation if isinstance(evaluation, Setup) else Setup(evaluation))
     summary = Summary() if summary is None else summary
     numbers = _numbers(evaluation, summary)
     if (evaluation.workers == 1 and evaluation.ray is None) or env is not None or judge is not None:
