@@ -9,8 +9,7 @@ from rcs.robots.description import Mount
 from rcs.robots.fr3.description import FR3
 from rcs.robots.realsense_d405.description import REALSENSE_D405
 from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
-from rcs.sim.layout import RobotLayout
-from rcs.sim.robot import SimRobot
+from rcs.sim.robot import RobotLayout, SimRobot
 
 
 def test_an_empty_scene_has_a_floor_lights_and_an_overview() -> None:

@@ -13,7 +13,7 @@ from rcs.errors import InvalidSetup, UnknownName
 from rcs.kinematics import kinematics_of
 from rcs.planning.planner import Planner
 from rcs.planning.timing import JointLimits
-from rcs.sim.layout import RobotLayout
+from rcs.sim.robot import RobotLayout
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.world import World
 from rcs.spatial import Pose, wxyz_to_xyzw

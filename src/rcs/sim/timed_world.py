@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.description import ArmDescription
-from rcs.sim.layout import RobotLayout
+from rcs.sim.robot import RobotLayout
 from rcs.sim.scene import RobotPlacement, Scene
 from rcs.sim.world import World
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs._core import Motion, Trajectory
-from rcs.sim.layout import RobotLayout
+from rcs.sim.robot import RobotLayout
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.world import World
 

@@ -10,8 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.sim.layout import RobotLayout
-from rcs.sim.robot import SimRobot
+from rcs.sim.robot import RobotLayout, SimRobot
 from rcs.sim.scene import TABLE, RobotPlacement
 from rcs.sim.world import Copies
 
