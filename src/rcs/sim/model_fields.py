@@ -79,7 +79,7 @@ class FieldRange(Record, kw_only=False):
     """Names of the elements, or patterns with `*` and `?`. Elements without a name have that of their body, degrees of
     freedom that of their joint."""
     operation: Literal["scale", "add", "set"] = "scale"
-    """Factor, summand, or new value."""
+    """Use of a draw: as a factor, as a summand, or as the new value."""
     axes: tuple[Natural, ...] | None = None
     """Columns of a field with several numbers per element; None for all."""
     per: Literal["value", "element", "all"] = "value"
@@ -131,7 +131,8 @@ def variable_fields() -> tuple[str, ...]:
 def names_of(model: mujoco.MjModel, kind: str) -> list[str]:
     """Return the names of all elements of a kind: their own, or that of their joint or body."""
     if kind == "dof":
-        return [names_of(model, "jnt")[joint] for joint in model.dof_jntid]
+        joints = names_of(model, "jnt")
+        return [joints[joint] for joint in model.dof_jntid]
     count = getattr(model, "njnt" if kind == "jnt" else "nu" if kind == "actuator" else f"n{kind}")
     own = [mujoco.mj_id2name(model, KINDS[kind], i) or "" for i in range(count)]
     bodies = getattr(model, f"{kind}_bodyid", None)
@@ -147,27 +148,27 @@ def find_rows(model: mujoco.MjModel, wanted: FieldRange) -> tuple[NDArray[np.int
         InvalidSetup: A pattern matches nothing, the field has no such column, or MuJoCo allows no such values.
     """
     names = names_of(model, wanted.kind)
+    first = 1 if wanted.kind == "body" else 0
     rows: set[int] = set()
     for pattern in (wanted.names,) if isinstance(wanted.names, str) else wanted.names:
-        found = [i for i, name in enumerate(names) if fnmatchcase(name, pattern)]
+        found = [i for i, name in enumerate(names) if i >= first and fnmatchcase(name, pattern)]
         if not found:
-            known = sorted(set(names))
+            known = sorted(set(names[first:]))
             raise InvalidSetup(UnknownName(f"{wanted.kind} in this scene for {wanted.field}", pattern, known).message)
         rows |= set(found)
-    if wanted.kind == "body":
-        rows -= {0}
     chosen = np.array(sorted(rows), np.intp)
     nominal = getattr(model, wanted.field)[chosen]
     if wanted.axes is not None:
         columns = nominal.shape[1] if nominal.ndim == 2 else 0
         if not wanted.axes or max(wanted.axes) >= columns:
-            raise InvalidSetup(f"axes of {wanted.field} is {wanted.axes}; valid: columns from 0 to {columns - 1}.")
+            valid = f"columns from 0 to {columns - 1}" if columns else "None, since an element has one number"
+            raise InvalidSetup(f"axes of {wanted.field} is {wanted.axes}; valid: {valid}.")
         nominal = nominal[:, wanted.axes]
-    first = nominal.min(initial=np.inf)
-    least = {"scale": first * wanted.low, "add": first + wanted.low}.get(wanted.operation, wanted.low)
+    smallest = nominal.min(initial=np.inf)
+    least = {"scale": smallest * wanted.low, "add": smallest + wanted.low}.get(wanted.operation, wanted.low)
     if least < 0 and wanted.field in NOT_NEGATIVE:
         raise InvalidSetup(f"{wanted.key} reaches {least:g}; valid: values from 0.")
-    if least <= 0 < first and wanted.field in POSITIVE:
+    if least <= 0 < smallest and wanted.field in POSITIVE:
         raise InvalidSetup(f"{wanted.key} reaches {least:g}; valid: values above 0.")
     if wanted.field == "geom_size" and (fixed := [i for i in chosen if model.geom_type[i] not in SIMPLE_SHAPES]):
         raise InvalidSetup(f"geom_size of {names[fixed[0]]!r} cannot vary; simple shapes alone have their own size.")
