@@ -36,7 +36,7 @@ from rcs.kinematics import (
     kinematics_of,
     load,
 )
-from rcs.kinematics.freedom import POSE
+from rcs.kinematics.chain import POSE
 from rcs.spatial import Pose, normalize, wxyz_to_xyzw
 
 GRIPPERS = {"fr3": "franka_hand", "xarm7": "robotiq_2f85", "ur5e": "robotiq_2f85", "so101": "so101_gripper"}

@@ -14,7 +14,7 @@ from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.hardware import FakeDriver
 from rcs.hardware.fake import limits_of
-from rcs.kinematics.damping import damped
+from rcs.kinematics.chain import damped
 from rcs.robots import FR3, FRANKA_HAND, Compliance
 from rcs.testing.env_contract import require_same_bits
 

@@ -15,7 +15,8 @@ from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
 from rcs.robots.realsense_d435.description import REALSENSE_D435
 from rcs.robots.tilburg_hand.description import TILBURG_HAND
-from rcs.sim.scene import LOAD, RobotPlacement, Scene
+from rcs.sim.robot_model import LOAD
+from rcs.sim.scene import RobotPlacement, Scene
 from rcs.spatial import Pose
 
 

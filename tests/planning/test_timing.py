@@ -8,7 +8,7 @@ import pytest
 from rcs._core import LineProfile
 from rcs.errors import InvalidSetup
 from rcs.planning import JointLimits, Path, TimedPath, minimum_jerk, time_path
-from rcs.planning.timed_path import MINIMUM_JERK_PEAK
+from rcs.planning.path import MINIMUM_JERK_PEAK
 from rcs.robots import FR3
 
 LIMITS = JointLimits.of(FR3)

@@ -12,7 +12,7 @@ import pytest
 import rcs
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.kinematics.damping import damped
+from rcs.kinematics.chain import damped
 from rcs.robots import FR3, FRANKA_HAND, SO101, SO101_GRIPPER, Compliance
 from rcs.sim.randomisation import Randomisation
 

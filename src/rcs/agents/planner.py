@@ -18,8 +18,7 @@ from rcs.envs.planner_for import ScenePlanner, planner_for
 from rcs.envs.spaces import GRIPPER, JOINTS, Action, Observation
 from rcs.errors import InvalidSetup, PlanningFailed, WrongOrder
 from rcs.kinematics import IkStatus, Kinematics, freedom_of
-from rcs.planning.path import Path
-from rcs.planning.timed_path import TimedPath
+from rcs.planning.path import Path, TimedPath
 from rcs.planning.timing import JointLimits, time_path
 from rcs.sim.scene import TABLE
 from rcs.spatial import Pose

@@ -20,7 +20,7 @@ from rcs.cli.runs import pose_of
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.kinematics import Backend, Elbow, IkOptions, IkResult, IkStatus, Kinematics, freedom_of, kinematics_of
-from rcs.kinematics.freedom import POSE
+from rcs.kinematics.chain import POSE
 from rcs.robots.description import ArmDescription
 from rcs.setups.make import resolve
 from rcs.sim.scene import RobotPlacement

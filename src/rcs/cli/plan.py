@@ -17,7 +17,7 @@ from rcs.cli.setup_options import SetupOptions
 from rcs.envs.env import Env
 from rcs.envs.planner_for import ScenePlanner, planner_for
 from rcs.errors import InvalidSetup
-from rcs.planning.timed_path import TimedPath
+from rcs.planning.path import TimedPath
 from rcs.rollout.video import Video
 from rcs.setups.make import make
 from rcs.sim.viewer import Picture

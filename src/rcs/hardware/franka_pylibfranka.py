@@ -27,7 +27,7 @@ from rcs.hardware.franka import (
 )
 from rcs.hardware.franka_faults import advice_for, connected, fault_of, mode_of
 from rcs.hardware.franka_limits import limits_of_fr3
-from rcs.kinematics.damping import damped
+from rcs.kinematics.chain import damped
 from rcs.robots.description import ArmDescription
 from rcs.robots.franka_hand.description import FRANKA_HAND
 

@@ -7,8 +7,8 @@ from rcs._core import Velocities as Velocities
 from rcs._core import VelocityOptions as VelocityOptions
 from rcs.kinematics.chain import Backend as Backend
 from rcs.kinematics.chain import attach_end_effector as attach_end_effector
+from rcs.kinematics.chain import freedom_of as freedom_of
 from rcs.kinematics.chain import kinematics_of as kinematics_of
 from rcs.kinematics.chain import load as load
 from rcs.kinematics.elbow import Elbow as Elbow
-from rcs.kinematics.freedom import freedom_of as freedom_of
 from rcs.kinematics.pinocchio import PinocchioKinematics as PinocchioKinematics

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from rcs._core import CollisionChecker, IkStatus, Kinematics
 from rcs.errors import InvalidSetup, PlanningFailed
 from rcs.kinematics import freedom_of
-from rcs.planning.path import Path
+from rcs.planning.path import Path, TimedPath
 from rcs.planning.search import Problem, search
-from rcs.planning.timed_path import TimedPath
 from rcs.planning.timing import JointLimits, time_path
 from rcs.spatial import Pose
 

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from rcs._core import LineProfile
 from rcs.errors import InvalidSetup
-from rcs.planning.path import Path
-from rcs.planning.timed_path import Bend, Line, TimedPath
+from rcs.planning.path import Bend, Line, Path, TimedPath
 from rcs.robots.description import ArmDescription
 
 MARGIN = 1e-3

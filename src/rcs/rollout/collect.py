@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -336,10 +337,11 @@ def _attempts(
     collection: Collection, writer: DatasetWriter, numbers: Iterator[int], progress: Progress
 ) -> Iterator[Attempt]:
     if collection.ray is None:
-        with WorkerPool(_Make(collection), collection.workers) as pool:
+        with WorkerPool(partial(_worker, collection), collection.workers) as pool:
             yield from pool.map(numbers)
         return
-    make = _MakeRemote(collection, writer.info, SentAgent.of(collection.agent))
+    worker = partial(_remote_worker, collection, writer.info, SentAgent.of(collection.agent))
+    make = partial(FileWorker, worker, outbox=f"dataset/{EPISODES_FOLDER}")
     with RayPool(make, collection.workers, collection.ray) as pool:
         progress.cluster = pool.usage
         for attempt, files in pool.map(numbers):
@@ -357,27 +359,11 @@ def _count(attempt: Attempt, collection: Collection, progress: Progress) -> None
     progress.kept += bool(attempt.result.success) or (attempt.result.success is False and not collection.only_success)
 
 
-@dataclass(frozen=True)
-class _Make:
-    """Makes the worker in its process; sent to it once."""
-
-    collection: Collection
-
-    def __call__(self) -> Collector:
-        return Collector(self.collection, DatasetWriter.join(self.collection.out))
+def _worker(collection: Collection) -> Collector:
+    return Collector(collection, DatasetWriter.join(collection.out))
 
 
-@dataclass(frozen=True)
-class _MakeRemote:
-    """Makes the worker on another machine, which records into a dataset of its own and returns each episode."""
-
-    collection: Collection
-    info: DatasetInfo
-    agent: SentAgent
-
-    def __call__(self) -> FileWorker:
-        return FileWorker(self._worker, outbox=f"dataset/{EPISODES_FOLDER}")
-
-    def _worker(self, folder: Path) -> Collector:
-        collection = replace(self.collection, agent=self.agent.unpack(folder / "agent"))
-        return Collector(collection, DatasetWriter.open(folder / "dataset", self.info))
+def _remote_worker(collection: Collection, info: DatasetInfo, agent: SentAgent, folder: Path) -> Collector:
+    """Return a worker on another machine, which records into a dataset of its own."""
+    collection = replace(collection, agent=agent.unpack(folder / "agent"))
+    return Collector(collection, DatasetWriter.open(folder / "dataset", info))

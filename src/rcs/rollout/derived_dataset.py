@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -108,15 +108,6 @@ class EpisodeMaker:
         self.writer.close()
 
 
-@dataclass(frozen=True)
-class _MakeWorker:
-    recipe: Derivation
-    out: Path
-
-    def __call__(self) -> EpisodeMaker:
-        return EpisodeMaker(self.recipe, self.out)
-
-
 def derive(recipe: Derivation, out: Path, info: DatasetInfo, workers: int) -> Iterator[Any]:
     """Make a dataset, and yield the result of each episode as it is done.
 
@@ -135,7 +126,7 @@ def derive(recipe: Derivation, out: Path, info: DatasetInfo, workers: int) -> It
     numbers = range(len(Dataset.open(recipe.source)))
     processes = min(workers or os.cpu_count() or 1, max(len(numbers), 1))
     with new_output(out) as folder, DatasetWriter.open(folder, info):
-        make = _MakeWorker(recipe, folder)
+        make = partial(EpisodeMaker, recipe, folder)
         if processes > 1:
             with WorkerPool(make, processes) as pool:
                 yield from pool.map(iter(numbers))

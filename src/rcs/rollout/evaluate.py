@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -207,28 +208,9 @@ class Evaluator:
         for_all([self._agent.close, *([] if self._film is None else [self._film.close]), self._env.close])
 
 
-@dataclass(frozen=True)
-class _Make:
-    """Makes the worker in its process; sent to it once."""
-
-    evaluation: Evaluation
-
-    def __call__(self) -> Evaluator:
-        return Evaluator(self.evaluation)
-
-
-@dataclass(frozen=True)
-class _MakeRemote:
-    """Makes the worker on another machine, which returns its videos."""
-
-    evaluation: Evaluation
-    agent: SentAgent
-
-    def __call__(self) -> FileWorker:
-        return FileWorker(self._worker, outbox="videos")
-
-    def _worker(self, folder: Path) -> Evaluator:
-        return Evaluator(replace(self.evaluation, agent=self.agent.unpack(folder / "agent"), out=folder / "videos"))
+def _remote_worker(evaluation: Evaluation, agent: SentAgent, folder: Path) -> Evaluator:
+    """Return a worker on another machine."""
+    return Evaluator(replace(evaluation, agent=agent.unpack(folder / "agent"), out=folder / "videos"))
 
 
 def evaluate(
@@ -280,10 +262,11 @@ def evaluate(
 
 def _attempts(evaluation: Evaluation, numbers: Iterator[int], summary: Summary) -> Iterator[Attempt]:
     if evaluation.ray is None:
-        with WorkerPool(_Make(evaluation), evaluation.workers) as pool:
+        with WorkerPool(partial(Evaluator, evaluation), evaluation.workers) as pool:
             yield from pool.map(numbers)
         return
-    make = _MakeRemote(evaluation, SentAgent.of(evaluation.agent))
+    worker = partial(_remote_worker, evaluation, SentAgent.of(evaluation.agent))
+    make = partial(FileWorker, worker, outbox="videos")
     with RayPool(make, evaluation.workers, evaluation.ray) as pool:
         summary.cluster = pool.usage
         for attempt, files in pool.map(numbers):

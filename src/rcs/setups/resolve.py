@@ -17,7 +17,7 @@ from rcs.envs.setup import Setup
 from rcs.envs.task import Task
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.hardware.site import DeviceAddress, Devices, Site
-from rcs.kinematics.damping import damped
+from rcs.kinematics.chain import damped
 from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
 from rcs.robots.tactile import TactileDescription

@@ -8,8 +8,7 @@ import mujoco
 import numpy as np
 
 from rcs._core import Springs
-from rcs.kinematics.chain import flange_frame
-from rcs.kinematics.damping import damped
+from rcs.kinematics.chain import damped, flange_frame
 from rcs.robots.description import ArmDescription
 
 if TYPE_CHECKING:  # a scene has its arms give way

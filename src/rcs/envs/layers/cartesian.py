@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import JOINTS, TQUAT, Action, Observation, require_direction, tquat_space
 from rcs.kinematics import IkStatus, Kinematics, freedom_of
-from rcs.kinematics.freedom import POSE
+from rcs.kinematics.chain import POSE
 from rcs.spatial import normalize
 
 ROWS_PER_THREAD = 16

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, XYZYAW, Action, Observation
 from rcs.errors import InvalidSetup
-from rcs.kinematics.freedom import POSE
+from rcs.kinematics.chain import POSE
 from rcs.spatial import compose, inverse, tquat_to_xyzrpy, xyzrpy_to_tquat
 
 KEPT = [0, 1, 2, 5]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
 from rcs.envs.spaces import JOINTS, TQUAT, TWIST, Action, Observation
 from rcs.kinematics import IkStatus, Kinematics, VelocityOptions
-from rcs.kinematics.freedom import POSE
+from rcs.kinematics.chain import POSE
 
 ROWS_PER_THREAD = 16
 """To move fewer targets takes less time than to start a thread."""

@@ -16,7 +16,7 @@ from rcs.envs.spaces import ARM_KEYS, Observation
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.stack import NAMELESS, Nested, Stack
 from rcs.errors import DeviceFault, InvalidSetup, Refused
-from rcs.planning.timed_path import MINIMUM_JERK_PEAK, minimum_jerk
+from rcs.planning.path import MINIMUM_JERK_PEAK, minimum_jerk
 from rcs.sim.scene import RobotPlacement
 
 SPEED = 0.05
