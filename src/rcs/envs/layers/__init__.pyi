@@ -1,8 +1,11 @@
-from rcs.envs.layers.binary_gripper import BinaryGripper as BinaryGripper
 from rcs.envs.layers.bound_lead import BoundLead as BoundLead
+from rcs.envs.layers.cameras import PointClouds as PointClouds
+from rcs.envs.layers.cameras import WristCamera as WristCamera
 from rcs.envs.layers.cartesian import CartesianControl as CartesianControl
+from rcs.envs.layers.cartesian import XyzrpyControl as XyzrpyControl
 from rcs.envs.layers.disturb_actions import DisturbActions as DisturbActions
-from rcs.envs.layers.grasp_hand import GraspHand as GraspHand
+from rcs.envs.layers.gripper import BinaryGripper as BinaryGripper
+from rcs.envs.layers.gripper import GraspHand as GraspHand
 from rcs.envs.layers.keep_tilt import KeepTilt as KeepTilt
 from rcs.envs.layers.late_actions import LateActions as LateActions
 from rcs.envs.layers.layer import ActionSpaces as ActionSpaces
@@ -14,9 +17,6 @@ from rcs.envs.layers.limit_pose import LimitPose as LimitPose
 from rcs.envs.layers.limit_step import LimitStep as LimitStep
 from rcs.envs.layers.native_twist import NativeTwist as NativeTwist
 from rcs.envs.layers.observe_target import ObserveTarget as ObserveTarget
-from rcs.envs.layers.point_clouds import PointClouds as PointClouds
 from rcs.envs.layers.relative import Relative as Relative
 from rcs.envs.layers.twist import TwistControl as TwistControl
 from rcs.envs.layers.wrapper import LayerWrapper as LayerWrapper
-from rcs.envs.layers.wrist_camera import WristCamera as WristCamera
-from rcs.envs.layers.xyzrpy import XyzrpyControl as XyzrpyControl

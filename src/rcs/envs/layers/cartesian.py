@@ -7,25 +7,69 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
-from rcs.envs.spaces import JOINTS, TQUAT, Action, Observation, require_direction, tquat_space
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew, replaced
+from rcs.envs.spaces import (
+    JOINTS,
+    TQUAT,
+    XYZRPY,
+    Action,
+    Observation,
+    require_direction,
+    tquat_space,
+    xyzrpy_space,
+)
 from rcs.kinematics import IkStatus, Kinematics, freedom_of
 from rcs.kinematics.chain import POSE
-from rcs.spatial import normalize
+from rcs.spatial import normalize, xyzrpy_to_tquat
 
 ROWS_PER_THREAD = 16
-"""To follow fewer targets takes less time than to start a thread."""
+"""A thread takes longer to start than to solve for fewer targets."""
 
 
-class CartesianControl(Layer):
+class TcpControl(Layer):
+    """Solve for the joints of an arm whose actions are of its TCP, from the last joint target on."""
+
+    memory = ("_joints", "_status")
+
+    def __init__(self, kinematics: Kinematics, threads: int) -> None:
+        """Use a solver.
+
+        Args:
+            kinematics: Kinematics of the arm with its gripper.
+            threads: Largest number of threads that solve for many copies.
+        """
+        self._kinematics = kinematics
+        self._threads = threads
+        self._joints: NDArray[np.float64] | None = None
+        self._status: NDArray[np.uint8] = np.zeros((), np.uint8)
+
+    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
+        """Start from the measured joints."""
+        joints = observation[JOINTS]
+        nothing = np.zeros(joints.shape[:-1], np.uint8)
+        self._status = renew(None if self._joints is None else self._status, nothing, where)
+        self._joints = renew(self._joints, joints, where)
+
+    def rebase(self, observation: Observation) -> None:
+        """Continue from the measured joints in the next step."""
+        self._joints = observation[JOINTS].copy()
+
+    def info(self) -> dict[str, NDArray[Any]]:
+        """Return the IkStatus of the last step."""
+        return {"ik_status": self._status}
+
+    def threads_for(self, rows: int) -> int:
+        """Return the number of threads that solve fastest for a number of targets."""
+        return min(self._threads, max(1, rows // ROWS_PER_THREAD))
+
+
+class CartesianControl(TcpControl):
     """Take `tquat` actions (TCP in the robot's base frame) and pass them on as `joints` by inverse kinematics.
 
     The solver starts at the last joint target and stays on its branch. A pose out of reach moves the TCP to the nearest
     one that it can reach from there; a pose too far away for one action moves it straight towards it. An arm with fewer
     than six joints meets the translation and leans as it must. `info["ik_status"]` reports it (values of `IkStatus`).
     """
-
-    memory = ("_joints", "_status")
 
     def __init__(
         self,
@@ -38,37 +82,21 @@ class CartesianControl(Layer):
         """Use a solver.
 
         Args:
-            kinematics: Of the arm with its gripper.
+            kinematics: Kinematics of the arm with its gripper.
             preferred: Joints to which an arm with more than six returns while its TCP moves [rad], shape (dof,); None
                 for none: then the elbow drifts.
             max_step: Largest change of each joint per action [rad], shape (dof,); None for no bound.
-            threads: Threads that solve for many copies, at most.
+            threads: Largest number of threads that solve for many copies.
         """
-        self._kinematics = kinematics
-        self._threads = threads
+        super().__init__(kinematics, threads)
         self._options = freedom_of(kinematics, best_effort=True, preferred=preferred, max_step=max_step)
         self._leans = kinematics.dof < POSE
-        self._joints: NDArray[np.float64] | None = None
         self._solved: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]] | None = None
         """Joints, pose and status of the last `map_action`."""
-        self._status: NDArray[np.uint8] = np.zeros((), np.uint8)
 
     def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
         """Replace `joints` by `tquat`."""
-        return {
-            (TQUAT if key == JOINTS else key): (tquat_space() if key == JOINTS else box) for key, box in inner.items()
-        }
-
-    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
-        """Start from the measured joints."""
-        joints = observation[JOINTS]
-        nothing = np.zeros(joints.shape[:-1], np.uint8)
-        self._status = renew(None if self._joints is None else self._status, nothing, where)
-        self._joints = renew(self._joints, joints, where)
-
-    def rebase(self, observation: Observation) -> None:
-        """Start the next solve at the measured joints."""
-        self._joints = observation[JOINTS].copy()
+        return replaced(inner, JOINTS, TQUAT, tquat_space())
 
     def map_action(self, action: Action) -> Action:
         """Solve for the joints.
@@ -82,13 +110,11 @@ class CartesianControl(Layer):
         require_direction(target)
         rows = normalize(target).reshape(-1, 7)
         starts = self._joints.reshape(len(rows), -1)
-        threads = min(self._threads, max(1, len(rows) // ROWS_PER_THREAD))
+        threads = self.threads_for(len(rows))
         joints, status, _ = self._kinematics.inverse_batch(rows, starts, self._options, threads)
         solved = joints.reshape(self._joints.shape)
         self._solved = solved, rows.reshape(target.shape), status.reshape(target.shape[:-1])
-        mapped: Action = {(JOINTS if key == TQUAT else key): value for key, value in action.items()}
-        mapped[JOINTS] = solved
-        return mapped
+        return replaced(action, TQUAT, JOINTS, solved)
 
     def map_executed(self, executed: Action) -> Action:
         """Start the next solve at the executed target, and return its pose."""
@@ -104,14 +130,20 @@ class CartesianControl(Layer):
             pose = pose.copy()
             pose[is_elsewhere] = self._kinematics.forward_batch(joints[is_elsewhere])
         self._joints = joints
-        return {
-            (TQUAT if key == JOINTS else key): (pose if key == JOINTS else value) for key, value in executed.items()
-        }
-
-    def info(self) -> dict[str, NDArray[Any]]:
-        """Return the IkStatus of the last solve."""
-        return {"ik_status": self._status}
+        return replaced(executed, JOINTS, TQUAT, pose)
 
     def __str__(self) -> str:
         """Return the layer for the printed stack."""
         return f"CartesianControl(tquat -> joints, {IkStatus.__name__} in info)"
+
+
+class XyzrpyControl(Layer):
+    """Take `xyzrpy` actions and pass them on as `tquat`."""
+
+    def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
+        """Replace `tquat` by `xyzrpy`."""
+        return replaced(inner, TQUAT, XYZRPY, xyzrpy_space())
+
+    def map_action(self, action: Action) -> Action:
+        """Convert the pose."""
+        return replaced(action, XYZRPY, TQUAT, xyzrpy_to_tquat(action[XYZRPY]))

@@ -94,3 +94,8 @@ def renew(old: NDArray[Any] | None, new: NDArray[Any], where: CopyIndex) -> NDAr
     kept = old.copy()
     kept[where] = new[where]
     return kept
+
+
+def replaced(values: Mapping[str, Any], key: str, new_key: str, value: Any) -> dict[str, Any]:
+    """Return values by key in which one key and its value are replaced, in the same place."""
+    return {(new_key if own == key else own): (value if own == key else kept) for own, kept in values.items()}

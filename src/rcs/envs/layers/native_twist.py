@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew, replaced
 from rcs.envs.spaces import TQUAT, TWIST, Action, Observation
 from rcs.spatial import Pose, compose
 
@@ -70,7 +70,7 @@ class NativeTwist(Layer):
         turned[..., 3:] = self._measured[..., 3:]
         target = compose(turn, turned)
         target[..., :3] = self._measured[..., :3] + way[..., :3]
-        return {(TQUAT if key == TWIST else key): target if key == TWIST else own for key, own in executed.items()}
+        return replaced(executed, TWIST, TQUAT, target)
 
     def info(self) -> dict[str, NDArray[Any]]:
         """Return whether the last action was slowed down."""

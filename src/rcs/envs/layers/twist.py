@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
-from rcs.envs.spaces import JOINTS, TQUAT, TWIST, Action, Observation
+from rcs.envs.layers.cartesian import TcpControl
+from rcs.envs.layers.layer import ActionSpaces, replaced
+from rcs.envs.spaces import JOINTS, TQUAT, TWIST, Action
 from rcs.kinematics import IkStatus, Kinematics, VelocityOptions
 from rcs.kinematics.chain import POSE
 
-ROWS_PER_THREAD = 16
-"""To move fewer targets takes less time than to start a thread."""
 
-
-class TwistControl(Layer):
+class TwistControl(TcpControl):
     """Take `twist` actions (linear and angular velocity of the TCP in the robot's base frame) and pass on `joints`.
 
     The target of the last step moves at the twist for one control period, along a straight line and about one axis; so
@@ -26,8 +22,6 @@ class TwistControl(Layer):
     `info["ik_status"]` reports it (values of `IkStatus`). An arm with fewer than six joints meets the linear velocity
     and leans as it must.
     """
-
-    memory = ("_joints", "_status")
 
     def __init__(
         self,
@@ -43,43 +37,29 @@ class TwistControl(Layer):
         """Use a solver.
 
         Args:
-            kinematics: Of the arm with its gripper.
+            kinematics: Kinematics of the arm with its gripper.
             frequency: Control steps per second [Hz].
             joint_speed: Largest joint speeds [rad/s], a number or shape (dof,).
             translation_speed: Bound of the linear velocity along each axis [m/s].
             rotation_speed: Bound of the angular velocity about each axis [rad/s].
             preferred: Joints to which an arm with more than six returns while its TCP moves [rad], shape (dof,); None
                 for none: then the elbow drifts.
-            threads: Threads that solve for many copies, at most.
+            threads: Largest number of threads that solve for many copies.
         """
-        self._kinematics = kinematics
+        super().__init__(kinematics, threads)
         self._period = 1.0 / frequency
         self._bound = np.repeat([float(translation_speed), float(rotation_speed)], 3)
-        self._threads = threads
         self._options = VelocityOptions(
             max_velocity=np.broadcast_to(np.asarray(joint_speed, np.float64), (kinematics.dof,)).copy(),
             preferred=np.asarray(preferred, np.float64) if preferred is not None and kinematics.dof > POSE else None,
         )
-        self._joints: NDArray[np.float64] | None = None
         self._solved: NDArray[np.uint8] = np.zeros((), np.uint8)
         """Status of the last `map_action`."""
-        self._status: NDArray[np.uint8] = np.zeros((), np.uint8)
 
     def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
         """Replace `joints` by `twist`."""
         own = spaces.Box(-self._bound, self._bound, dtype=np.float64)
-        return {(TWIST if key == JOINTS else key): (own if key == JOINTS else box) for key, box in inner.items()}
-
-    def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
-        """Start from the measured joints."""
-        joints = observation[JOINTS]
-        nothing = np.zeros(joints.shape[:-1], np.uint8)
-        self._status = renew(None if self._joints is None else self._status, nothing, where)
-        self._joints = renew(self._joints, joints, where)
-
-    def rebase(self, observation: Observation) -> None:
-        """Move from the measured joints in the next step."""
-        self._joints = observation[JOINTS].copy()
+        return replaced(inner, JOINTS, TWIST, own)
 
     def map_action(self, action: Action) -> Action:
         """Move the last target for one period."""
@@ -87,12 +67,10 @@ class TwistControl(Layer):
             raise RuntimeError("TwistControl.map_action was called before reset")
         twists = action[TWIST].reshape(-1, 6)
         starts = self._joints.reshape(len(twists), -1)
-        threads = min(self._threads, max(1, len(twists) // ROWS_PER_THREAD))
+        threads = self.threads_for(len(twists))
         joints, status, _ = self._kinematics.advance_batch(starts, twists, self._period, self._options, threads)
         self._solved = status.reshape(self._joints.shape[:-1])
-        mapped: Action = {(JOINTS if key == TWIST else key): value for key, value in action.items()}
-        mapped[JOINTS] = joints.reshape(self._joints.shape)
-        return mapped
+        return replaced(action, TWIST, JOINTS, joints.reshape(self._joints.shape))
 
     def map_executed(self, executed: Action) -> Action:
         """Move from the executed target next, and return its pose."""
@@ -100,13 +78,7 @@ class TwistControl(Layer):
         self._status = self._solved
         rows = joints.reshape(-1, joints.shape[-1])
         pose = self._kinematics.forward_batch(rows).reshape(*joints.shape[:-1], 7)
-        return {
-            (TQUAT if key == JOINTS else key): (pose if key == JOINTS else value) for key, value in executed.items()
-        }
-
-    def info(self) -> dict[str, NDArray[Any]]:
-        """Return the IkStatus of the last step."""
-        return {"ik_status": self._status}
+        return replaced(executed, JOINTS, TQUAT, pose)
 
     def __str__(self) -> str:
         """Return the layer for the printed stack."""

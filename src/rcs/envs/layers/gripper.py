@@ -1,4 +1,4 @@
-"""A hand with many joints, used like a gripper: open, or in one of its grasps."""
+"""Grippers and hands that are either open or closed."""
 
 from __future__ import annotations
 
@@ -8,9 +8,19 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from rcs.envs.layers.binary_gripper import THRESHOLD
-from rcs.envs.layers.layer import ActionSpaces, Layer
+from rcs.envs.layers.layer import ActionSpaces, Layer, replaced
 from rcs.envs.spaces import GRIPPER, HAND, Action, Observation, normalised_space
+
+THRESHOLD = 0.5
+"""Actions of at least this open the gripper."""
+
+
+class BinaryGripper(Layer):
+    """Open the gripper fully for actions of at least 0.5, close it fully for others."""
+
+    def map_action(self, action: Action) -> Action:
+        """Round the gripper's action to 0 or 1."""
+        return {**action, GRIPPER: (action[GRIPPER] >= THRESHOLD).astype(np.float32)}
 
 
 class GraspHand(Layer):
@@ -34,10 +44,7 @@ class GraspHand(Layer):
 
     def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
         """Replace `hand` by `gripper`."""
-        return {
-            (GRIPPER if key == HAND else key): (normalised_space(1) if key == HAND else box)
-            for key, box in inner.items()
-        }
+        return replaced(inner, HAND, GRIPPER, normalised_space(1))
 
     def observation_spaces(self, inner: Mapping[str, spaces.Space[Any]]) -> dict[str, spaces.Space[Any]]:
         """Add `gripper`."""
@@ -45,17 +52,12 @@ class GraspHand(Layer):
 
     def map_action(self, action: Action) -> Action:
         """Choose the pose."""
-        hand = np.where(action[GRIPPER] >= THRESHOLD, self._open, self._grasp)
-        mapped = {key: value for key, value in action.items() if key != GRIPPER}
-        mapped[HAND] = hand
-        return mapped
+        return replaced(action, GRIPPER, HAND, np.where(action[GRIPPER] >= THRESHOLD, self._open, self._grasp))
 
     def map_executed(self, executed: Action) -> Action:
         """Return which of the two poses was executed."""
         is_open = (executed[HAND] == self._open).all(axis=-1, keepdims=True).astype(np.float32)
-        mapped = {key: value for key, value in executed.items() if key != HAND}
-        mapped[GRIPPER] = is_open
-        return mapped
+        return replaced(executed, HAND, GRIPPER, is_open)
 
     def map_observation(self, observation: Observation) -> Observation:
         """Add the opening of the hand."""
