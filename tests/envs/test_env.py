@@ -352,7 +352,7 @@ def _fail() -> None:
 
 def test_an_attribute_of_other_libraries_names_the_place_here() -> None:
     with rcs.make("Free") as env:
-        for name, place in (("model", "env.scenario.world.model"), ("task", "env.scenario.task"), ("sim", "world")):
+        for name, place in (("model", "env.simulation.world.model"), ("task", "env.simulation.task"), ("sim", "world")):
             with pytest.raises(AttributeError, match=place):
                 getattr(env, name)
         assert not hasattr(env, "anything")

@@ -35,11 +35,11 @@ _ONLY = np.zeros(1, np.int32)
 
 
 PLACES = {
-    "task": "env.scenario.task",
-    "world": "env.scenario.world",
-    "sim": "env.scenario.world",
-    "model": "env.scenario.world.model",
-    "data": "env.scenario.world.data, or env.get_state()",
+    "task": "env.simulation.task",
+    "world": "env.simulation.world",
+    "sim": "env.simulation.world",
+    "model": "env.simulation.world.model",
+    "data": "env.simulation.world.data, or env.get_state()",
     "robot": "env.setup.robot, or env.stack for its ports and layers",
     "robots": "env.setup.robot, or env.stack for their ports and layers",
     "seed": "env.reset(seed=...)",
