@@ -1,16 +1,16 @@
-"""What a whole step of `make_vec` costs on top of MuJoCo's own batch stepping of the same model.
+"""Measure the cost of a complete step of `make_vec` on top of MuJoCo's own batch stepping of the same model.
 
-Ours: actions checked and mapped through the layers, trajectories of the arms, physics, observation, reward, autoreset,
-with what a learner turns on: poses of objects and contacts are observed, and collisions do not end episodes.
+A step checks and maps actions through the layers, and includes the arms' trajectories, physics, observation, reward and
+autoreset, with the settings of learners: observed object poses and contacts, and no end of episodes at collisions.
 
-The reference: `mujoco.batch.Batch.step` alone, with the same threads. Each of its control steps begins in the states in
-which ours began, holds the controls with which ours ended, and makes as many physics steps: the arms move as far in
-both, and touch as much. As a program without trajectories it has nothing of what they cost: the plan of each step, the
-controls of each physics step, the torques of the accelerations. Nor is the writing of the states timed. (Controls held
-from the step before would have the arms come to rest, which makes the physics 3 % cheaper.)
+The reference is `mujoco.batch.Batch.step` alone, with the same threads. Each of its control steps starts in the states
+in which ours started, holds the controls with which ours ended, and makes as many physics steps, so that motions and
+contacts are equal. It excludes all costs of trajectories: the plan of each step, the controls of each physics step, the
+torques of accelerations; and writing the states is not timed. (With the controls of the previous step, the arms would
+come to rest, which makes the physics 3 % cheaper.)
 
-Rounds alternate; the ratio is the median over rounds. A copy that starts anew makes no physics step, so rates are per
-physics step that was really made.
+Rounds alternate; the ratio is the median over rounds. A copy that starts an episode makes no physics step, so rates
+count only actual physics steps.
 
 Prints one JSON object: `efficiency` (ours over the reference), `env_steps_per_s`, `env_physics_steps_per_s`,
 `batch_physics_steps_per_s`.
@@ -34,12 +34,12 @@ import rcs
 SUBSTEPS = 17, 17, 16
 """Physics steps of three control steps: 30 Hz at 2 ms is 16.67."""
 SHARE = 0.2
-"""Of the range of joint actions. With all of it, arms would lie on the table soon, and contacts would cost the most."""
+"""Fraction of the range of joint actions in use. With the full range, arms would soon lie on the table."""
 
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     copies: int = 32
     """Copies of the environment."""
@@ -48,7 +48,7 @@ class Options:
     robot: str = "fr3"
     """The robot."""
     control: Literal["joints", "tquat", "xyzrpy", "twist"] = "joints"
-    """What actions are."""
+    """Format of actions."""
     setup: Literal["learning", "plain"] = "learning"
     """`learning` observes poses of objects and contacts and goes on after collisions; `plain` has the defaults."""
     steps: int = 60
@@ -61,7 +61,7 @@ def main(options: Options) -> None:
     """Measure and print."""
     threads = options.threads or len(os.sched_getaffinity(0))
     is_learning = options.setup == "learning"
-    # Short episodes, so that some copies start anew in every round.
+    # Short episodes, so that some copies start an episode in every round.
     envs = rcs.make_vec(
         "PickCuboid",
         robot=options.robot,
@@ -119,7 +119,7 @@ def main(options: Options) -> None:
     for _ in range(options.rounds):
         resets_before = resets
         rates.append((run_env(), run_batch()))
-        assert resets > resets_before, "no copy started anew: this is not what the benchmark says it measures"
+        assert resets > resets_before, "no copy has started an episode: the result would not be representative"
     envs.close()
     ours, reference = (median(side) for side in zip(*rates, strict=True))
     print(

@@ -1,4 +1,4 @@
-"""How well a camera's pose is found: drawn pictures of a board of four tags, both arrangements, many seeds.
+"""Measure the accuracy of hand-eye calibration, on rendered pictures of a board of four tags, for many seeds.
 
 Every seed has its own camera: some centimetres and degrees from where the lab has it, with another principal point and
 a distorted lens. The strategy starts from the lab's pose, picks its poses itself and drives to them in the simulation.
@@ -59,39 +59,39 @@ BENT = 617.0, (-0.3, 0.0, 0.0, 0.0, 0.0)
 """Focal length and distortion of a strongly bent lens; one of 433 px would fold the corners of its picture over."""
 CASES = "exact", "small noise", "large noise", "outliers", "k1 -0.3"
 FIGURES = {"mm": " mm", "deg": "°", "park_mm": " mm", "park_deg": "°", "ratio_mm": "", "ratio_deg": ""}
-"""What is told of each case, with units."""
+"""Figures of each case, with units."""
 
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     robot: str = "fr3"
     """Robot, whose lab has a camera `wrist` and a camera `side`."""
     seeds: int = 50
     """Cameras per arrangement."""
     views: int = 20
-    """Pictures of each."""
+    """Pictures per camera."""
     size: tuple[int, int] = (640, 480)
-    """Of a picture [px]."""
+    """Size of a picture [px]."""
     picture_noise: float = 2.0
     """Standard deviation of each pixel's shade, of 255, in all cases with noise."""
     small_noise: tuple[float, float] = (0.1, 0.02)
     """Standard deviations of the flange's pose, along and about every axis [mm, degrees]."""
     large_noise: tuple[float, float] = (0.5, 0.1)
-    """The same of a worse robot."""
+    """The same for a less accurate robot."""
     outliers: float = 0.1
-    """Share of tags that are put in wrong places."""
+    """Fraction of misplaced tags."""
 
 
 def error(found: Pose, true: Pose) -> tuple[float, float]:
-    """Return how far a camera is from where it was found [mm, degrees]."""
+    """Return the error of a camera's pose [mm, degrees]."""
     off = true.inverse() * found
     return 1000 * float(np.linalg.norm(off.translation)), float(np.rad2deg(np.linalg.norm(off.rotvec)))
 
 
 def park(board: Board, views: Sequence[View], found: HandEye, lens: Intrinsics) -> Pose:
-    """Return where Park's closed form finds the camera, without the tags that were rejected."""
+    """Return the camera's pose by Park's closed form, without the rejected tags."""
     rejected = set(found.rejected)
     anchors: list[NDArray[np.float64]] = []
     boards: list[NDArray[np.float64]] = []
@@ -120,7 +120,7 @@ def near(pose: Pose, rng: np.random.Generator) -> Pose:
 
 
 def with_noise(strategy: BoardStrategy, sigma: float, rng: np.random.Generator) -> list[View]:
-    """Return the views as noise of the pictures would have them."""
+    """Return the views with noise of the pictures."""
     noisy: list[View] = []
     for view, picture in zip(strategy.views, strategy.pictures, strict=True):
         grains = np.clip(np.rint(picture + rng.normal(0.0, sigma, picture.shape)), 0, 255).astype(np.uint8)
@@ -129,7 +129,7 @@ def with_noise(strategy: BoardStrategy, sigma: float, rng: np.random.Generator) 
 
 
 def with_robot(views: Sequence[View], noise: tuple[float, float], rng: np.random.Generator) -> list[View]:
-    """Return the views as noise of the robot would have them [mm, degrees]."""
+    """Return the views with noise of the robot [mm, degrees]."""
     metres, radians = noise[0] / 1000, np.deg2rad(noise[1])
     off = [Pose.from_rotvec(rng.normal(0, metres, 3), rng.normal(0, radians, 3)) for _ in views]
     return [replace(view, flange_in_base=view.flange_in_base * one) for view, one in zip(views, off, strict=True)]
@@ -154,7 +154,7 @@ def with_outliers(views: Sequence[View], share: float, rng: np.random.Generator)
 
 
 def is_single_axis_refused(tour: Tour, camera: str, strategy: BoardStrategy) -> bool:
-    """Return whether views in which only the last joint turns are refused."""
+    """Return True if views in which only the last joint turns are refused."""
     views: list[View] = []
     middle = strategy.rig.kinematics.joint_lower[-1] / 2 + strategy.rig.kinematics.joint_upper[-1] / 2
     joints = tour.joints
@@ -173,7 +173,7 @@ def is_single_axis_refused(tour: Tour, camera: str, strategy: BoardStrategy) -> 
 
 
 def measure(arrangement: str, seed: int, options: Options, folder: Path) -> dict[str, Any]:
-    """Return what was found of one camera."""
+    """Return the figures of one camera."""
     rng = np.random.default_rng(seed)
     name, task = CAMERAS[arrangement], ShowBoardOptions(**BOARDS[arrangement])
     plain = rcs.Setup(
@@ -205,7 +205,7 @@ def measure(arrangement: str, seed: int, options: Options, folder: Path) -> dict
         return strategy, MountedCamera.of(setup, name).rig(lens).camera_in_mount
 
     def solve(case: str, views: Sequence[View], lens: Intrinsics, true: Pose) -> None:
-        """Find the camera, and tell how well."""
+        """Calibrate the camera and store the error."""
         found = hand_eye(task.board, views, lab.arrangement, lens)
         off, sigma = error(found.camera_in_mount, true), (found.sigma_mm, found.sigma_degrees)
         beside = error(park(task.board, views, found, lens), true)

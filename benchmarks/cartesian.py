@@ -1,4 +1,4 @@
-"""How well arms follow poses: drift of the elbow, direction of cut steps, straightness, bounded joint steps.
+"""Measure how well arms follow poses: drift of the elbow, direction of cut steps, straightness, bounded joint steps.
 
 - Drift: laps of a circle of 24 cm through home; the largest change of a joint when the TCP is back, and how far it is
   then from where it was (FR3, xArm7).
@@ -31,16 +31,16 @@ Row = NDArray[np.float64]
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     laps: int = 30
-    """Of the circle."""
+    """Laps of the circle."""
     steps: int = 6000
-    """Random actions per arm and control mode, 150 per episode: a few episodes say more of where they led."""
+    """Random actions per arm and control mode, 150 per episode."""
     lines: int = 20
     """Straight paths per arm."""
     seed: int = 0
-    """Of actions and paths."""
+    """Random seed of actions and paths."""
 
 
 class Follower:

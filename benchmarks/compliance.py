@@ -1,4 +1,4 @@
-"""How far a push on the TCP moves an arm that gives way, against force over stiffness.
+"""Compare the deflection of compliant arms under a push at the TCP with force over stiffness.
 
     python benchmarks/compliance.py            # all simulated arms
     python benchmarks/compliance.py --virtual  # and a virtual FR3, through its driver (extra franka): two minutes
@@ -23,9 +23,9 @@ from rcs.virtual import VirtualProcess
 
 ARMS = ("fr3", "ur5e", "xarm7", "so101")
 SETTLED = 5.0
-"""How long a push is made [s]."""
+"""Duration of a push [s]."""
 TRIES = 8
-"""How often a push may break off."""
+"""Largest number of interrupted attempts per push."""
 
 Push = Callable[[NDArray[np.float64]], None]
 
@@ -38,10 +38,10 @@ def pushes(robot: str) -> NDArray[np.float64]:
 
 
 def stand(env: Any, action: dict[str, Any], push: Callable[[], None]) -> NDArray[np.float64]:
-    """Return where the joints are after a while [rad].
+    """Return the joint positions after `SETTLED` seconds [rad].
 
     Raises:
-        TimeoutError: The episode has ended early: a busy machine leads a real arm too late.
+        TimeoutError: The episode has ended early, because the machine is too busy for real time.
     """
     joints = action["joints"]
     for _ in range(round(SETTLED * env.frequency)):
@@ -84,7 +84,7 @@ def off(env: Any, robot: str, compliance: rcs.Compliance, push: Push) -> float:
 
 
 def simulated(env: Any) -> Push:
-    """Return what pushes the TCP of a simulated arm."""
+    """Return a function that pushes the TCP of a simulated arm."""
     robot = env.simulation.robots[0]
     data, site = robot.world.data, robot.layout.tcp_site
     body = robot.world.model.site_bodyid[site]
@@ -97,7 +97,7 @@ def simulated(env: Any) -> Push:
 
 
 def told(virtual: VirtualProcess) -> Push:
-    """Return what tells a virtual robot of pushes, when they change."""
+    """Return a function that sends changed pushes to a virtual robot."""
     last = [np.zeros(3)]
 
     def push(force: NDArray[np.float64]) -> None:

@@ -1,4 +1,4 @@
-"""What each way to store colour costs: bytes, quality, and time on one core to record, finish and read an image.
+"""Measure the encodings of colour: bytes, quality, and time on one core to record, finish and read an image.
 
 The images are collected here, without loss: scripted episodes of PickCuboid with two cameras. Each camera of each
 episode is then recorded as an episode in every encoding. Times are of the processor, the best of three rounds.
@@ -34,7 +34,7 @@ Takes = list[list[NDArray[np.uint8]]]
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     episodes: int = 2
     """Episodes to collect of each size and kind of sensor."""

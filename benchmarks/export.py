@@ -1,4 +1,4 @@
-"""Images per second and core of an export to LeRobot v3.0, beside bare encoding of the same images in the same run.
+"""Compare the images per second of an export to LeRobot v3.0 with bare encoding of the same images, in the same run.
 
 Collects episodes of Pick-Cuboid with two cameras of 224 x 224 pixels and exports them. The reference is PyAV with the
 same codec and settings, given images that are decoded already, an episode at a time: what no export could be faster
@@ -38,12 +38,12 @@ SAMPLE = 20
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     episodes: int = 40
     """Episodes to collect and export."""
     codec: VideoCodec = "h264"
-    """How videos are compressed."""
+    """Video codec."""
     workers: int = 1
     """Threads that encode."""
     dataset: Path | None = None

@@ -1,4 +1,4 @@
-"""The guard on colliding and on free motions, judged by MuJoCo's collision detection along the whole way.
+"""Test the guard on colliding and free motions, judged by MuJoCo's collision detection along the whole path.
 
 A scene with a table, three boxes and a thin plate, one arm and two. Every motion begins at random joints that keep the
 margin, and is straight in joint space; its farthest joint goes 0.03 to 0.35 rad. Half have the plate (2 mm) in
@@ -57,14 +57,14 @@ SEEN = 0.05
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     robot: tuple[str, ...] = ("fr3", "dual_fr3")
     """Robots, one after the other."""
     motions: int = 100_000
     """Number of colliding motions, and of free ones."""
     seed: int = 0
-    """Of the motions."""
+    """Random seed of the motions."""
     workers: int = 1
     """Processes that share the motions; more disturb the times."""
     streams: int = 0
@@ -133,7 +133,7 @@ class Judge:
         return float((distance - self.kept[geoms[:, 0], geoms[:, 1]]).min(initial=SEEN))
 
     def is_pierced(self) -> bool:
-        """Return whether the axis of a capsule passes through a box where the model is: MuJoCo sees no contact then."""
+        """Return True if the axis of a capsule passes through a box where the model is: MuJoCo sees no contact then."""
         data, model = self.data, self.model
         away = data.geom_xpos[self._boxes, None] - data.geom_xpos[self._capsules]
         reach = model.geom_rbound[self._boxes, None] + model.geom_rbound[self._capsules]
@@ -177,7 +177,7 @@ class Judge:
         return pairs, SEEN / (whole.max() + 1e-12)
 
     def is_apart(self, q: NDArray[np.float64], geoms: NDArray[np.int32]) -> bool:
-        """Return whether pairs of geoms are apart at joints, by `mj_geomDistance`.
+        """Return True if pairs of geoms are apart at joints, by `mj_geomDistance`.
 
         `mj_collision` has no contact for some cylinders that are deep in a capsule, and has one again farther out.
         """
@@ -337,7 +337,7 @@ class Witness:
         return False
 
     def would_keep_apart(self, env: rcs.envs.Env, asked: list[NDArray[np.float64]]) -> bool:
-        """Return whether a step that was refused, executed, would have kept all distances and `SAMPLING`."""
+        """Return True if a step that was refused, executed, would have kept all distances and `SAMPLING`."""
         core, robots = env.simulation.world.core, env.simulation.robots
         saved = core.save(0)
         self.least, self.is_measuring = np.inf, True

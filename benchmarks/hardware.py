@@ -1,8 +1,8 @@
-"""Drivers of arms, over their vendors' libraries, against virtual robots, by the robots' own logs.
+"""Test drivers of arms, with the vendors' libraries, against virtual robots, by the robots' own logs.
 
     python benchmarks/hardware.py --robot fake | fr3 | ur5e | xarm7 | so101 | dual_fr3 | all
 
-One line of JSON per robot, and a last one for all. What is measured, each by a module of `rehearsal`:
+Prints one line of JSON per robot, and a last one for all. Measurements, each by a module of `rehearsal`:
 
 - `sent`: under random and violent commands in every control, what the robot is sent in shares of its limits;
 - `apart`: the same actions in simulation and on the virtual robot;
@@ -30,7 +30,7 @@ ROBOTS = ("fake", *ARMS, "dual_fr3")
 
 
 def measurements(robot: str, given: argparse.Namespace) -> dict[str, Callable[[], Any]]:
-    """Return what there is to measure of a robot."""
+    """Return the measurements for a robot."""
     if robot == "fake":
         return {"sent": lambda: fake.measure(given.commands, given.seconds)}
     if robot == "dual_fr3":
@@ -49,7 +49,7 @@ def measurements(robot: str, given: argparse.Namespace) -> dict[str, Callable[[]
 
 
 def measured(call: Callable[[], Any]) -> Any:
-    """Return what a measurement finds, or why it failed: the others go on."""
+    """Return the result of a measurement, or the reason of its failure, so that the others continue."""
     try:
         return call()
     except Exception as err:  # noqa: BLE001  what fails is a finding
@@ -57,7 +57,7 @@ def measured(call: Callable[[], Any]) -> Any:
 
 
 def summary(lines: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Return the worst figure of all robots for each thing that is promised."""
+    """Return the worst figure of all robots for each criterion."""
 
     def worst(part: str, name: str) -> Any:
         values = [line[part][name] for line in lines.values() if name in line.get(part, {})]

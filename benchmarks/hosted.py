@@ -1,4 +1,4 @@
-"""Devices with a host: how long it takes to start one, to reach it, and to find that it hangs.
+"""Measure the time to start a host of devices, to reach it, and to detect that it hangs.
 
     python benchmarks/hosted.py [--tries 10]
 

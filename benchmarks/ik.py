@@ -1,4 +1,4 @@
-"""Inverse kinematics on random poses, checked independently.
+"""Test inverse kinematics on random poses, with an independent check.
 
 Reachable targets are the forward kinematics of joint vectors drawn uniformly inside the limits; every solve starts at
 home. So the orientation asked of an arm with five joints is one that it can take, too. Each answer is put into a model
@@ -44,7 +44,7 @@ GRIPPERS = {"fr3": "franka_hand", "xarm7": "robotiq_2f85", "ur5e": "robotiq_2f85
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     robot: str = "fr3"
     """Name of an arm, or `all`."""
@@ -57,7 +57,7 @@ class Options:
     threads: int = 1
     """Threads for the wild targets, whose time is not measured."""
     seed: int = 0
-    """Of the targets."""
+    """Random seed of the targets."""
 
 
 class Judge:
@@ -84,7 +84,7 @@ class Judge:
         return self.base * Pose.from_matrix(matrix)
 
     def reference(self, joints: Any) -> float:
-        """Return how long MuJoCo's kinematics and Jacobian take once [s]."""
+        """Return the time of one evaluation of MuJoCo's kinematics and Jacobian [s]."""
         begin = time.perf_counter()
         for q in joints:
             self.data.qpos[self.addresses] = q
@@ -113,7 +113,7 @@ def reachable(arm: Any, solver: Kinematics, judge: Judge, targets: list[Pose]) -
         errors = reached.distance_to(target), reached.angle_to(target)
         is_solved = errors[0] <= most[0] and errors[1] <= most[1]
         solved += is_solved
-        assert is_solved == (result.status == IkStatus.ok), "the status does not say what the answer is"
+        assert is_solved == (result.status == IkStatus.ok), "the status does not match the answer"
         if is_solved:
             worst = max(worst[0], errors[0]), max(worst[1], errors[1])
     return {

@@ -1,4 +1,4 @@
-"""How hard simulated arms hit a table before their reaction to collisions stops them, at several speeds.
+"""Measure the force with which simulated arms hit a table before their collision reaction stops them.
 
     python benchmarks/impact.py --robot fr3
 
@@ -17,11 +17,11 @@ import numpy as np
 import rcs
 
 SPEEDS = (0.02, 0.05, 0.1, 0.25)
-"""Of the tool on its way down [m/s]."""
+"""Speeds of the tool on its way down [m/s]."""
 FREQUENCY = 500.0
-"""That of the physics, so that no step of it is missed [Hz]."""
+"""Control rate [Hz], equal to that of the physics, so that no physics step is missed."""
 LIMIT = 1.0
-"""Longest press that is watched after the first contact [s]."""
+"""Longest observed contact [s]."""
 
 
 def hit(robot: str, speed: float) -> dict[str, float | str]:

@@ -1,4 +1,4 @@
-"""Kill recordings and edits at random moments with SIGKILL and see what is left.
+"""Kill recordings and edits by SIGKILL at random times and check the results.
 
 A quarter of the trials each kills
 
@@ -56,12 +56,12 @@ KINDS = ("record", "workers", "edit", "convert")
 
 @dataclass(kw_only=True)
 class Options:
-    """What to do."""
+    """Options of the benchmark."""
 
     trials: int = 100
     """Kills."""
     seed: int = 0
-    """Of the moments."""
+    """Random seed of the times."""
     cameras: bool = False
     """Record two cameras."""
     child: str = ""
@@ -74,18 +74,18 @@ class Options:
 
 @dataclass
 class Totals:
-    """What was seen in all trials."""
+    """Counts over all trials."""
 
     lossless: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
     """Kills after which nothing was lost but the end of the open episode, by kind."""
     kills: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
     """All kills."""
     finished: int = 0
-    """Episodes that were finished when the kill came."""
+    """Episodes that were finished before the kill."""
     damaged: int = 0
-    """Of those, the ones that were not as they were written, or not there."""
+    """Finished episodes that were changed or missing."""
     recovered: int = 0
-    """Open episodes that came back."""
+    """Recovered open episodes."""
     failed_checks: int = 0
     """Datasets that did not pass the check after `recover`."""
     half_edits: int = 0
@@ -93,7 +93,7 @@ class Totals:
     left: int = 0
     """Trials after which something was left that no check names or no repair removes."""
     lost: list[int] = field(default_factory=list[int])
-    """Rows that open episodes lost, where that is exact."""
+    """Rows that open episodes lost, if known exactly."""
 
 
 class RowCounter(Observer):
@@ -286,7 +286,7 @@ def kill_conversions(folder: Path, source: Path, rng: random.Random, totals: Tot
 
 
 def is_clean(folder: Path, results: list[Path], totals: Totals) -> bool:
-    """Return whether checks name all that is left beside some results, and repairs remove it."""
+    """Return True if checks name all that is left beside some results, and repairs remove it."""
     hidden = {path.name for path in folder.parent.iterdir() if path.name.startswith(f".{folder.name}")}
     named: set[str] = set()
     for result in (folder, *results):

@@ -1,4 +1,4 @@
-"""Samples per second that a trainer gets of a dataset in random order, beside what decoding alone would allow.
+"""Compare the samples per second of random access to a dataset with the rate of decoding alone.
 
 The dataset is collected here: scripted episodes with two cameras of 224 x 224 pixels. A sample is a window of one
 observation with both images and of 16 actions; a batch has 64. Every image of a first pass is compared with the one
@@ -44,7 +44,7 @@ from rcs.rollout.collect import Collection, Progress, collect
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     episodes: int = 16
     """Episodes to collect."""
@@ -87,7 +87,7 @@ def collected(path: Path, options: Options) -> Path:
 
 
 def first_batch(path: Path) -> float:
-    """Return how long a new process takes to open a dataset and read a batch of 32 from the disk [s]."""
+    """Return the time of a new process to open a dataset and read a batch of 32 from the disk [s]."""
     for file in filter(Path.is_file, path.rglob("*")):
         with file.open("rb") as opened:
             os.fsync(opened.fileno())

@@ -1,4 +1,4 @@
-"""Six cameras of 1280 x 720 at 30 Hz recorded beside a loop of 90 Hz, in real time, with the real codecs and disk.
+"""Record six cameras of 1280 x 720 at 30 Hz next to a loop of 90 Hz in real time, with real codecs and disk.
 
 The frames were drawn before by the simulator, with the noise of real sensors; each camera gives them at its rate, as a
 device does. The loop wakes up at fixed times, hands a row to the recorder and goes back to sleep; a pool of threads
@@ -44,16 +44,16 @@ from rcs.sim.frame_clock import FrameClock, FrameRate
 
 WIDTH, HEIGHT = 1280, 720
 VIEWS = {"left": (0.6, 0.8, 0.5), "right": (0.6, -0.8, 0.5), "front": (1.4, 0.0, 0.5), "above": (0.5, 0.1, 1.2)}
-"""Where cameras stand that the lab does not have; they look at the middle of the table."""
+"""Positions of additional cameras, which look at the middle of the table."""
 Frames = dict[str, list[NDArray[np.uint8]]]
 
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     seconds: float = 20.0
-    """How long to run each loop."""
+    """Duration of each loop [s]."""
     loop_hz: float = 90.0
     """Rate of the loop [Hz]."""
     camera_hz: float = 30.0
@@ -64,10 +64,10 @@ class Options:
 
 @dataclass
 class Loop:
-    """What a loop at a fixed rate felt."""
+    """Lateness and processor time of a loop at a fixed rate."""
 
     late: NDArray[np.float64]
-    """How much later than due each step began [s]."""
+    """Delay of the start of each step [s]."""
     seconds: float
     cpu: float
     """Processor time of the process over wall time."""

@@ -1,4 +1,4 @@
-"""The cost of a row when many copies are recorded into as many open episodes, beside that of one episode.
+"""Compare the cost of a row with many open episodes, one per copy, with that of a single episode.
 
 A row has the numbers of an arm, the simulation's state and a frame of 64 x 64 px. The copies take turns, as those of a
 batch do. The reference, in the same run, is one open episode with as many rows.
@@ -33,7 +33,7 @@ FEATURES = (
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     copies: int = 24
     """Open episodes."""

@@ -1,4 +1,4 @@
-"""How the simulated arms move: peaks over their limits, settling, and how well they follow a line.
+"""Measure the motion of the simulated arms: peaks over their limits, settling, and tracking of a line.
 
 For every arm and stepping: steps of 0.1 to 2 rad of all joints from the home pose (as far as their ranges go), a
 stream of random joint targets, and a line of 0.25 m/s by poses. `speed`, `acceleration` and `jerk` are the largest
@@ -35,29 +35,29 @@ from rcs.envs.env import Env
 from rcs.sim.robot import SimRobot
 
 SPEED = 0.25
-"""Of the line [m/s]."""
+"""Speed along the line [m/s]."""
 RAMP = 0.5
 """Time from rest to full speed [s]."""
 WINDOW = 5
 """Physics steps over which accelerations are measured."""
 DIRECTIONS = {"fr3": (0, 1, 0), "ur5e": (1, 0, 0), "xarm7": (0, 1, 0), "so101": (0, 1, 0)}
-"""Of the line in the base frame: across in front of the robot."""
+"""Directions of the line in the base frame: across in front of the robot."""
 
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     robots: tuple[str, ...] = ("fr3", "xarm7", "ur5e", "so101")
     """Robots."""
     stream: int = 300
     """Steps of the stream of random targets."""
     seed: int = 0
-    """Of the stream."""
+    """Random seed of the stream."""
 
 
 class Log:
-    """What an arm does in every physics step."""
+    """The motion of an arm in every physics step."""
 
     def __init__(self, env: Env) -> None:
         """Watch the only robot of an environment."""
@@ -183,7 +183,7 @@ def line(robot: str) -> dict[str, float]:
 
 
 FREQUENCIES = (10.0, 30.0, 100.0)
-"""Of targets [Hz]."""
+"""Rates of targets [Hz]."""
 SIZES = 10
 """Sizes of moves of each joint to each side: four small ones, then up to the end of its range."""
 EDGE = 0.02

@@ -1,4 +1,4 @@
-"""Whole steps of `make_vec` with a camera in every copy, as a learner sees it: channels first, memory used again.
+"""Measure complete steps of `make_vec` with a camera in every copy, in the format of learners: channels first.
 
 Random joint actions; actions checked and mapped, physics, drawing, observations, reward, autoreset. In the same run, in
 turns: the same steps without cameras, and the drawing of all copies alone. The frames of every copy must be new in each
@@ -31,7 +31,7 @@ from rcs.sim.pixels import Pixels
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     task: str = "PickCuboid"
     """The task."""
@@ -44,9 +44,9 @@ class Options:
     cameras: tuple[str, ...] = ("side",)
     """Cameras of each copy."""
     grayscale: bool = False
-    """One channel instead of three."""
+    """Use one channel instead of three."""
     stack: int = 1
-    """Frames of an observation."""
+    """Number of frames in an observation."""
     threads: int = 0
     """Threads; 0 for one per CPU that the process may use."""
     steps: int = 40
@@ -54,7 +54,7 @@ class Options:
     rounds: int = 15
     """Rounds; the median counts."""
     save: Path | None = None
-    """Folder to save pictures of the first copies to (PNG), to look at."""
+    """Folder for pictures of the first copies (PNG)."""
 
 
 def main(options: Options) -> None:

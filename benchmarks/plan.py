@@ -1,4 +1,4 @@
-"""Planning past obstacles: seeded problems for every robot, judged by MuJoCo's own collision detection.
+"""Test planning on seeded problems for every robot, judged by MuJoCo's own collision detection.
 
 Each problem has its own obstacles on and above the table, and a start and a goal that are drawn at random, free and
 with each joint within 2 rad of home; in at least half of them the straight joint motion collides. A path that is found
@@ -29,7 +29,7 @@ ROBOTS = ("fr3", "xarm7", "ur5e", "so101")
 END_EFFECTORS = {"xarm7": "robotiq_2f85"}
 OBSTACLES = 6
 SPREAD = 2.0
-"""How far from home joints are drawn [rad]."""
+"""Largest distance of random joints from home [rad]."""
 MARGIN = {"so101": 0.002}
 """Distance to keep [m], if not 5 mm: parts of the SO101 pass each other closer."""
 ROUNDING = 1e-9
@@ -37,18 +37,18 @@ ROUNDING = 1e-9
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     robot: str = "all"
     """fr3, xarm7, ur5e, so101, or all."""
     problems: int = 50
-    """Per robot."""
+    """Problems per robot."""
     planner: str = "RRTConnect"
     """Name of the planner."""
     time_limit: float = 5.0
     """Longest search [s]."""
     seed: int = 0
-    """Of the problems."""
+    """Random seed of the problems."""
 
 
 def make_scene(robot: RobotPlacement, random: np.random.Generator) -> mujoco.MjModel:
@@ -88,7 +88,7 @@ class Judge:
         self.always = self._contacts(home)
 
     def touches(self, q: np.ndarray) -> bool:
-        """Return whether there is a contact that is not there at home."""
+        """Return True if there is a contact that is not there at home."""
         return bool(self._contacts(q) - self.always)
 
     def _contacts(self, q: np.ndarray) -> set[tuple[int, ...]]:

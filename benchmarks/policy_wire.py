@@ -1,4 +1,4 @@
-"""How long a policy in another process takes to answer: over our wires, and over those of others.
+"""Measure the round trip to a policy in another process, over our wires and those of others.
 
 The observation has two images of 224 x 224 and two of 1280 x 720 pixels, uint8, and 7 numbers: 5.8 MB. The images are
 random, the worst case for whatever compresses. 8 x 8 actions come back. Every server reads one pixel of each image, so
@@ -35,12 +35,12 @@ from vlagents import Chunk, Metadata, Observation, PartSpec, Policy, connect
 ROOT = Path(__file__).parents[1]
 SIZES = {"left": (224, 224), "right": (224, 224), "front": (720, 1280), "side": (720, 1280)}
 Way = Callable[[int], list[float]]
-"""Asks so many times, and returns how long each took [s]."""
+"""A function that makes a number of queries and returns the time of each [s]."""
 
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     calls: int = 60
     """Calls of each way in a round."""
@@ -117,7 +117,7 @@ def served(serve: Callable[[str, Any], None], kind: str) -> Iterator[str]:
 
 
 def timed(act: Callable[[], Any], calls: int) -> list[float]:
-    """Do something so many times, and return how long each took [s]."""
+    """Call a function `calls` times and return the time of each call [s]."""
     times = []
     for _ in range(calls):
         begin = time.perf_counter()
@@ -127,7 +127,7 @@ def timed(act: Callable[[], Any], calls: int) -> list[float]:
 
 
 def ways(images: dict[str, Any], opened: ExitStack, options: Options) -> dict[str, Way | str]:
-    """Return the ways by name; in place of one that cannot be, why."""
+    """Return the transports by name, or the reason why one is unavailable."""
     observation = Observation(images=images, state={"joints": np.arange(7.0)}, session="bench")
     memory = np.empty(sum(image.size for image in images.values()), np.uint8)
     found: dict[str, Way | str] = {"copy": lambda calls: timed(lambda: copied(images, memory), calls)}

@@ -1,4 +1,4 @@
-"""How fast PPO learns on state, and the environment's share of that time.
+"""Measure the speed of PPO on state, and the environment's share of the time.
 
 The recipe of `rcs train PickCuboid`, with Stable-Baselines3's PPO through `Sb3VecEnv`, as it is trained: actions, whole
 steps of all copies, rewards, restarts, then the update. The reference, in the same run, is the learner without an
@@ -27,18 +27,18 @@ from rcs.rl.threads import cpus, fastest_threads
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     robot: str = "fr3"
     """The robot."""
     task: str = "PickCuboid"
     """The task."""
     frequency: float | None = None
-    """Decisions per second [Hz]; None for the recipe's. A step has so much more physics the fewer they are."""
+    """Decisions per second [Hz]; None for the recipe's. Lower rates mean more physics per step."""
     threads: int = 0
     """Threads of the physics; 0 for one per CPU."""
     rounds: int = 7
-    """Updates that are measured."""
+    """Number of measured updates."""
 
 
 class TimedEnvs(Sb3VecEnv):

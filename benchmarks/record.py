@@ -1,4 +1,4 @@
-"""Recording of two RGB-D cameras, 640 x 480 at 30 Hz, beside a control loop of 100 Hz, with the real codecs and disk.
+"""Record two RGB-D cameras, 640 x 480 at 30 Hz, next to a control loop of 100 Hz, with real codecs and disk.
 
 The loop wakes up at fixed times, takes what the cameras show (drawn before, with the noise of real sensors), hands a
 row to the recorder and goes back to sleep; a thread encodes and writes. The reference, in the same run, is the same
@@ -39,12 +39,12 @@ Frames = dict[str, list[dict[str, NDArray[Any]]]]
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     seconds: float = 20.0
-    """How long to record."""
+    """Duration of the recording [s]."""
     warm_up: float = 1.0
-    """How long to run the loop before it is measured [s]."""
+    """Duration of the loop before the measurement [s]."""
     frames: int = 30
     """Different frames per camera."""
 

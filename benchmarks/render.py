@@ -1,4 +1,4 @@
-"""Frames per second of the lab scene through our camera, beside MuJoCo's own renderer with its default settings.
+"""Compare the frames per second of our camera in the lab scene with MuJoCo's own renderer at its defaults.
 
 The scene is the one that data is collected in: FR3 with hand and wrist camera, table, cuboid, room and side camera. The
 arm moves between frames. The pictures are checked: arm, table and cuboid must be in them, at the place where the
@@ -37,7 +37,7 @@ from rcs.sim.world import World
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     robot: str = "fr3"
     """The lab."""
@@ -50,7 +50,7 @@ class Options:
     rounds: int = 7
     """Rounds; the median counts."""
     save: Path | None = None
-    """Folder to save one picture of each kind to (PPM), to look at."""
+    """Folder for one picture of each kind (PPM)."""
 
 
 def main(options: Options) -> None:

@@ -1,4 +1,4 @@
-"""What operations on a dataset cost as it grows, and how that grows: the exponent of seconds over episodes.
+"""Measure the cost of operations on growing datasets, as the exponent of seconds over episodes.
 
 Datasets of more and more short episodes (20 rows of numbers) are recorded, and each operation runs once on each, as a
 process of its own on one core: its processor seconds without the start of Python and its packages, which is measured
@@ -63,7 +63,7 @@ RGB = "observation/frames/side/rgb"
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     sizes: tuple[int, ...] = (100, 1000, 10000)
     """Numbers of episodes."""

@@ -1,4 +1,4 @@
-"""Memory, threads and open files of `make_vec` with cameras and resets over a long time.
+"""Measure memory, threads and open files of `make_vec` with cameras and resets over a long time.
 
 Random actions in short episodes, each copy starting anew in the step in which it ends, and now and then a reset of some
 copies by hand. A line is put through what is in use after the warm-up (least squares).
@@ -28,12 +28,12 @@ MB = 1e6
 
 @dataclass(kw_only=True)
 class Options:
-    """How long, and what."""
+    """Options of the benchmark."""
 
     minutes: float = 30.0
-    """How long altogether."""
+    """Total duration [min]."""
     warm_up: float = 0.25
-    """Part of that time that does not count."""
+    """Fraction of the duration that does not count."""
     copies: int = 24
     """Copies of the environment."""
     threads: int = 2
@@ -43,9 +43,9 @@ class Options:
     cameras: tuple[str, ...] = ("side", "wrist")
     """Cameras of each copy."""
     pictures: bool = False
-    """Frames with matrices, drawn by OpenGL, in place of pixels for learners."""
+    """Render frames with matrices by OpenGL instead of pixels for learners."""
     randomisation: bool = False
-    """Whether episodes differ in looks, masses and delays."""
+    """Randomise looks, masses and delays of episodes."""
 
 
 def main(options: Options) -> None:

@@ -1,10 +1,9 @@
-"""What an environment costs on top of its physics: `env.step` against MuJoCo's own `mj_step`.
+"""Measure the cost of an environment on top of its physics: `env.step` against MuJoCo's own `mj_step`.
 
 Both run the same episode, a scripted pick of the cuboid, from the same state with the same number of physics steps.
-The environment's trajectories give the servos a new control in every physics step. That MuJoCo comes to the same
-states with these controls is checked once; the timed reference is given the last control of each control step, which
-is cheaper, and so has nothing of what trajectories cost. Rounds of the two alternate, and the ratio is the median
-over rounds.
+The environment's trajectories give the servos a new control in every physics step. With these controls, MuJoCo must
+reach the same states, which is checked once; the timed reference uses only the last control of each control step, which
+is cheaper and excludes all costs of trajectories. Rounds of the two alternate, and the ratio is the median over rounds.
 
 Prints one JSON object: `env_over_raw` (environment steps/s over raw), `env_steps_per_s`, `raw_steps_per_s`.
 """
@@ -28,12 +27,12 @@ from rcs.agents import agent_for
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     rounds: int = 41
     """Alternating rounds of one episode each."""
     seed: int = 0
-    """Of the episode."""
+    """Random seed of the episode."""
 
 
 def record(

@@ -1,7 +1,7 @@
-"""The first program: an FR3 beside a cuboid on a table, moved for a hundred steps.
+"""The first program: an FR3 next to a cuboid on a table, moved for a hundred steps.
 
-One step is 1/30 s of simulated time. An action says how far each joint's target moves and whether the gripper is open;
-an observation is a dictionary of arrays. `print(env)` shows what the environment is made of, part by part.
+One step is 1/30 s of simulated time. An action contains the change of each joint's target and the opening of the
+gripper; an observation is a dictionary of arrays. `print(env)` lists the parts of the environment.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Control modes are layers: the same motion asked for in joints, as a pose, and as a pose difference.
+"""Control modes are layers: the same motion commanded by joints, as a pose, and as a pose difference.
 
-A layer maps actions down and observations up. Which ones stand between an action and the robot depends on `control` and
-`relative`; the robot below them is the same, and so is what an observation has.
+A layer maps actions down and observations up. `control` and `relative` select the layers between an action and the
+robot; the robot below them, and the content of observations, stay the same.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ for part in PARTS:
     observation, reward, terminated, truncated, info = env.step(action)
 print(f"joints, absolute:  rose by {observation['tquat'][2] - home[2]:.3f} m; cut by LimitStep: {info['is_limited']}")
 
-# Differences to the last target: what a person at a device or a policy sends. Roll, pitch, yaw are in rad.
+# Differences to the last target, as from teleoperation or a policy. Roll, pitch, yaw are in rad.
 env_relative = rcs.make("Free", control="xyzrpy", relative=True)
 observation, info = env_relative.reset(seed=0)
 for rise in UP * np.diff(PARTS, prepend=0.0):

@@ -1,7 +1,7 @@
 """Many copies of one environment, stepped together on native threads: one action array in, one observation array out.
 
-It is a `gymnasium.vector.VectorEnv`. The stack of layers is the same as of one environment, only that every array has
-one more axis in front. Copy i does what a single environment with seed + i does, bit for bit, on any number of threads.
+It is a `gymnasium.vector.VectorEnv`. The layers are those of a single environment, with an additional leading axis of
+every array. Copy i equals a single environment with seed + i, bit for bit, for any number of threads.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Your own MuJoCo model and data, stepped by a world until your own Python functions say that the step is over.
+"""Step your own MuJoCo model and data in a world until your Python functions end the step.
 
 A world is the physics below an environment and can be used alone. A synchronous step ends when every convergence
-callback is true, when an interrupt is, or at a limit; a periodic callback runs at a rate of simulated time. The world
-works on the `MjData` that it is given: what you read there is what it has, what you write there it goes on with.
+callback or any interrupt is true, or at a limit; a periodic callback runs at a rate of simulated time. The world works
+on the given `MjData`: you can read its state there, and write to it.
 """
 
 from __future__ import annotations

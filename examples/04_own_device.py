@@ -1,10 +1,10 @@
-"""A device of your own: an arm written in Python behind the device interface, driven through the same environment.
+"""Write your own device: an arm in Python behind the device interface, controlled by the same environment.
 
-An arm overrides a few functions with a leading underscore. Everything around them is checked by the interface: calls
-in a wrong order, targets that are not finite or outside the limits, and a fault state that only `recover` clears. On a
-real robot the functions talk to the vendor's library; here a velocity-limited motion stands in for it.
+An arm overrides a few functions with a leading underscore. The interface checks everything else: the order of calls,
+finite targets within the limits, and a fault state that only `recover` clears. On a real robot, the functions call the
+vendor's library; here, a velocity-limited motion replaces it.
 
-The gripper has no device here, so it is simulated beside the arm, in real time.
+The gripper has no device here, so it is simulated together with the arm, in real time.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The same program on every robot: change one word.
+"""The same program runs on every robot: change one word.
 
-A lab says what stands around a robot, ids which tasks are at home there; the scripted expert of the task does the rest.
+A lab defines the surroundings of a robot, ids its tasks; the task's scripted expert does the rest.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Record scripted episodes, train a small network on them, and count how often it succeeds: cloning.
+"""Behaviour cloning: record scripted episodes, train a small network on them, and measure its success rate.
 
-The network is told where the cuboid is. What it clones is `PickTeacher`, whose actions follow from what the network
-sees; those of `PickExpert`, which waits in its phases, do not. With `EPISODES=20` in the environment it is quick and
-rarely succeeds. Needs torch: pip install 'robot-control-stack[torch]'.
+The network observes the cuboid's pose. It clones `PickTeacher`, whose actions depend only on the network's
+observations, unlike those of `PickExpert`, which has phases with waits. With `EPISODES=20` in the environment it is
+quick and rarely succeeds. Needs torch: pip install 'robot-control-stack[torch]'.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ for _ in collect(plan, Progress()):
 windows = Windows(Dataset.open(folder.name), horizon=1, state=[f"observation/{key}" for key in STATE])
 whole = windows.batch(range(len(windows)))  # large datasets, and those with images, need `rcs_data.torch.TorchDataset`
 states, actions = windows.statistics()["state"], windows.statistics()["actions"]
-# Without floors, numbers that hardly vary in the recordings are blown up when they do.
+# Floors avoid the amplification of numbers that hardly vary in the recordings.
 given = torch.from_numpy(states.normalise(whole["state"][:, 0], floor=0.05)).float()
 wanted = torch.from_numpy(actions.normalise(whole["actions"][:, 0], floor=0.002)).float()
 print(f"{len(windows)} steps of {EPISODES} episodes to train on")
 
 torch.manual_seed(0)
-torch.set_num_threads(1)  # of several, small networks are slower
+torch.set_num_threads(1)  # small networks are slower on several threads
 layers: list[torch.nn.Module] = []
 for size_in, size_out in ((given.shape[1], 256), (256, 256), (256, wanted.shape[1])):
     layers += [torch.nn.Linear(size_in, size_out), torch.nn.ReLU()]
@@ -61,7 +61,7 @@ for epoch in range(EPOCHS):
         losses.append(loss.item())
     schedule.step()
     if epoch % 20 == 19:
-        print(f"epoch {epoch + 1}: loss {np.mean(losses):.4f}, which says little; what it does says more")
+        print(f"epoch {epoch + 1}: loss {np.mean(losses):.4f}")
 
 
 class Clone(Agent):
@@ -71,10 +71,10 @@ class Clone(Agent):
         self.box = env.action_space["joints"]
 
     def reset(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> None:
-        """Do nothing: it remembers nothing."""
+        """Do nothing: the agent has no memory."""
 
     def act(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what the expert would have done, as far as the network knows."""
+        """Return the network's prediction of the teacher's action."""
         values: list[Any] = [reduce(getitem, key.split("/"), observation) for key in STATE]
         state = states.normalise(np.concatenate(values), floor=0.05)
         with torch.no_grad():

@@ -35,12 +35,12 @@ class Pusher(Agent):
         self._step = 0.15 / env.frequency  # m
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Plan three places to go to, with the gripper as it is turned now."""
+        """Plan three waypoints, with the present orientation of the gripper."""
         (x, y), self._target = info["block"][:2], observation["tquat"]
         self._places = [(x - 0.1, y, 0.15), (x - 0.1, y, 0.0), (LINE, y, 0.0)]
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
-        """Return the next point on the way."""
+        """Return the next point of the path."""
         goal = np.array([*self._places[0], *self._target[3:]])
         self._target = limit_step(self._target, goal, self._step, 1.0)
         if len(self._places) > 1 and np.allclose(self._target, goal):
@@ -60,20 +60,20 @@ class PushToLine(Task):
         add_box(scene, "block", self.area.center, edges=(EDGE, EDGE, EDGE), mass=0.05, rgb=(0.8, 0.3, 0.1))
 
     def bind(self, world: World, robots: list[SimRobot]) -> None:
-        """Have the block's pose in the robot's base frame read out."""
+        """Look up the block's pose in the robot's base frame."""
         self._world, self._block = world, FreeBody(world, "block")
         self._pose = world.read_pose("block", robots[0].placement.base_body)
 
     def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
-        """Lay the block down somewhere: x, y [m] and yaw [rad]."""
+        """Place the block at random: x, y [m] and yaw [rad]."""
         self._block.place(upright(random.uniform([0.45, -0.15, -0.2], [0.6, 0.15, 0.2]), np.array(EDGE / 2)), where)
 
     def describe(self) -> dict[str, NDArray[Any]]:
-        """Return where the block is."""
+        """Return the block's pose."""
         return {"block": self._world.poses[..., self._pose, :].copy()}
 
     def evaluate(self) -> Judgement:
-        """Judge the way to the line."""
+        """Judge the distance to the line."""
         info = self.describe()
         missing = np.maximum(LINE - info["block"][..., 0], 0.0)
         return Judgement(success=missing == 0, progress=1.0 - missing, info=info)

@@ -1,8 +1,8 @@
-"""A real setup from end to end: a site file, demonstrations that a person judges, a checked dataset, an export.
+"""A complete workflow on hardware: a site file, demonstrations judged by a person, a checked dataset, an export.
 
-A setup says what is done and at what rate; a site says where it is done: which driver reaches which device. Here the
-driver makes fakes, so that the program runs without a robot; a vendor's driver is another word in the file. Another
-site's file is an argument of this program, as in example 17.
+A setup defines the experiment; a site names the drivers and addresses of the devices. Here, a driver of fakes lets the
+program run without a robot; a vendor's driver is another word in the file. Pass another site's file as an argument of
+this program, as in example 17.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class Circle(Agent):
     """Stands in for a person at a device: moves the tool along a circle about where it was [m]."""
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Begin at the present pose."""
+        """Start at the present pose."""
         self._step = 0
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
-        """Return where the tool is to be, relative to where the episode began."""
+        """Return the target of the tool relative to the start of the episode."""
         angle = 2 * np.pi * self._step / 45
         self._step += 1
         offset = 0.03 * np.array([np.cos(angle) - 1.0, np.sin(angle), 0.0])
@@ -68,7 +68,7 @@ with tempfile.TemporaryDirectory() as folder:
     report = export_lerobot(Dataset.open(out), Path(folder) / "lerobot")
     print(f"{len(faults)} errors found; exported {report.episodes} episodes, {report.frames} images")
 
-    # One arm real, the other simulated beside it in real time: the same program, another word.
+    # One arm real, the other simulated next to it in real time, with the same program.
     with rcs.make("Free", robot="dual_fr3", hardware={"left": "fake"}) as env:
         observation, info = env.reset()
         stay = {"joints": np.zeros(7), "gripper": np.array([1.0])}  # differences to where the arms are

@@ -13,9 +13,9 @@ COPIES, ROLLOUT, EPOCHS, BATCH, DISCOUNT, TRACE, CLIP, RATE = 32, 60, 8, 480, 0.
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=300_000, help="steps of all copies together")
-parser.add_argument("--unseen", type=int, default=100, help="episodes of an evaluation, on seeds never trained on")
+parser.add_argument("--unseen", type=int, default=100, help="episodes of an evaluation, on unseen seeds")
 options = parser.parse_args()
-torch.set_num_threads(1)  # such small networks are slower on more
+torch.set_num_threads(1)  # small networks are slower on several threads
 torch.manual_seed(0)
 
 setup = rcs.Setup(
@@ -65,8 +65,8 @@ for steps in range(COPIES * ROLLOUT, options.steps + 1, COPIES * ROLLOUT):
             policy, value = torch.distributions.Normal(actor(state), spread.exp()), critic(state)[:, 0]
             action = policy.sample()
             observation, reward, terminated, truncated, info = envs.step(flat.action(action))
-            gain = torch.from_numpy((1 - DISCOUNT) * reward).float()  # returns are at most 1 then
-            if truncated.any():  # what follows an episode that was cut off is worth what the critic says
+            gain = torch.from_numpy((1 - DISCOUNT) * reward).float()  # keeps returns at most 1
+            if truncated.any():  # bootstrap truncated episodes
                 gain += DISCOUNT * critic(vector(info["final_obs"]))[:, 0] * torch.from_numpy(truncated)
             goes_on = torch.from_numpy(~(terminated | truncated))
             rows.append((state, action, policy.log_prob(action).sum(1), gain, goes_on, value))

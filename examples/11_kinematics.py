@@ -1,7 +1,7 @@
-"""Inverse kinematics by hand: a pose, another elbow at the same pose, and a circle drawn by velocities of the TCP.
+"""Inverse kinematics: a pose, another elbow angle at the same pose, and a circle by velocities of the TCP.
 
 `kinematics_of` makes the kinematics of any robot from its description. In an environment, control by `twist` uses the
-same solver: its actions are velocities of the TCP, here from a circle's tangent and what the arm is off.
+same solver: its actions are velocities of the TCP, here the tangent of a circle plus a correction of the error.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ with rcs.make("Free", robot="fr3", control="twist", frequency=50, max_episode_st
     home = np.array(robot.arm.home)
     pose = kinematics.forward(home)
 
-    # A pose 10 cm to the left: the answer says how good it is.
+    # A pose 10 cm to the left; the result includes its errors.
     left = Pose(pose.translation + [0.0, 0.1, 0.0], pose.quaternion)
     found = kinematics.inverse(left, home)
     print(f"{found.status.name}, {1e3 * found.translation_error:.3f} mm off, joints {np.round(found.joints, 3)}")
@@ -34,7 +34,7 @@ with rcs.make("Free", robot="fr3", control="twist", frequency=50, max_episode_st
         f"elbow 0.7 rad to the side: joints move by up to {moved:.2f} rad, the TCP by {aside.translation_error:.1e} m"
     )
 
-    # Out of reach: without best effort the answer is the start, and the status says so.
+    # Out of reach: without best effort, the result has the initial joints and a status.
     print(f"a pose 3 m away: {kinematics.inverse(Pose([3.0, 0.0, 0.5]), home).status.name}")
 
     # One lap of a circle, by velocities.

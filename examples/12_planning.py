@@ -1,4 +1,4 @@
-"""Plan a motion past obstacles, give it times, and follow it; then pick the cuboid between the posts."""
+"""Plan a motion past obstacles, time it, and execute it; then pick the cuboid between the posts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ env = rcs.make(
 with env:
     observation, info = env.reset(seed=3)
 
-    # The planner knows the scene as it is now: the posts, the cuboid and the table.
+    # The planner copies the present scene: the posts, the cuboid and the table.
     planner = planner_for(env, margin=0.01, speed=0.4)
     home = observation["joints"].astype(float)
     x, y, z = info["cuboid"][:3]
@@ -23,7 +23,7 @@ with env:
     timed = planner.time(path)
     print(f"a path of {len(path.waypoints)} waypoints, {path.length:.2f} rad, takes {timed.duration:.2f} s")
 
-    # No joint goes beyond its limits, at any moment.
+    # No joint exceeds its limits at any time.
     samples = timed.sampled(1000.0)
     for name, values, limit in [
         ("speed", samples.velocities, planner.limits.velocity),

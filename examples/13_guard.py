@@ -1,4 +1,4 @@
-"""A guard between a program and its robots: ways that are not free are refused, or cut, before any device sees them."""
+"""A guard between a program and its robots refuses or clips colliding motions before they reach a device."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Shelf(Free):
 
 GRIPPER = np.ones(1, np.float32)
 
-# Behind the shelf there is room, but the way there leads through it. Only the ends would not tell.
+# The goal behind the shelf is free, but the path leads through it. Checking only the ends would miss that.
 for on_hit in ("reject", "clip", "stop"):
     with rcs.make(Shelf, relative=False, frequency=10, gates={"Guard": {"on_hit": on_hit}}) as env:
         observation, _ = env.reset(seed=0)
@@ -35,11 +35,11 @@ for on_hit in ("reject", "clip", "stop"):
             steps += 1
             told = info.get("refused", "")
             if info["guard_fraction"] == 0 and not told:
-                told = "no part of the way is free any more"
+                told = "no part of the motion is free"
         turned = observation["joints"][0]
         print(f"{on_hit:6}: after {steps} steps, turned by {turned:.2f} rad, truncated {truncated}: {told}")
 
-# Work goes on: the gripper may touch what the task is about, and come close to the table.
+# The task remains possible: the gripper may touch its object and come close to the table.
 with rcs.make("PickCuboid", gates=[Guard(margin=0.01)]) as env:
     print(env.limits())
     expert = PickExpert(env)

@@ -1,7 +1,6 @@
-"""A digital twin beside a robot: how far it is behind, how well it follows, and an alarm when it stops.
+"""A digital twin of a robot measures lag and tracking error, and raises an alarm when the robot stops.
 
-A simulated arm with a delay of 30 ms and noise stands in for the real one; with a vendor's driver in its place, the
-program is the same.
+A simulated arm with a delay of 30 ms and noise replaces the real one; with a vendor's driver, the program is the same.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ with (
     print("RMS error of every joint [mrad]:", (1e3 * compared.rms).round(2))
     print("the same with the lag in it:    ", (1e3 * compared.raw_rms).round(2))
 
-    arm.freeze()  # takes commands and does not obey; tells no fault
+    arm.freeze()  # accepts commands but does not move, without a fault
     frozen = time.monotonic()
     for _ in range(60):
         observation, _, _, truncated, info = env.step(agent.act(observation, info))

@@ -1,8 +1,8 @@
-"""Find where a camera is: a board of AprilTags, poses that the arm picks itself, a calibration file, a check.
+"""Calibrate a camera: a board of AprilTags, automatically selected poses, a calibration file, a check.
 
-The wrist camera of this lab is some millimetres and degrees from where its file has it, as after somebody has hit it.
-The arm starts from what the file says, looks at the board on the table, and finds out. With a real robot, `rcs.make`
-gets `hardware=`, and `calibrate` a function that asks a person before each motion, `confirm=`.
+The wrist camera of this lab is some millimetres and degrees off the pose in its file, as after a bump. The arm starts
+from that pose, looks at the board on the table, and calibrates. With a real robot, pass `hardware=` to `rcs.make` and a
+function that asks a person before each motion, `confirm=`, to `calibrate`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from rcs.spatial import Pose
 from rcs.tasks import ShowBoardOptions
 
 with tempfile.TemporaryDirectory() as folder:
-    # The lab as it is, and nobody knows: the camera was moved by (4, -3, 2) mm and turned by 2 degrees.
+    # The actual, unknown lab: the camera was moved by (4, -3, 2) mm and turned by 2 degrees.
     before = lab_of("fr3").cameras["wrist"]
     assert before.calibration is not None
     moved = before.optical.pose * Pose.from_rotvec([0.004, -0.003, 0.002], np.deg2rad([0.0, 2.0, 0.0]))
     truth = Path(folder) / "truth.json"
     write_calibration(truth, {"wrist": Calibration(optical=Mount.of(moved), camera=before.calibration)})
 
-    setup = board_setup("fr3", "wrist")  # a board on the table, and what the lab's file says of the camera
+    setup = board_setup("fr3", "wrist")  # a board on the table, and the camera's pose from the lab
     mounted = MountedCamera.of(setup, "wrist")
     board = ShowBoardOptions(**setup.task_options)
     env = rcs.make(replace(setup, cameras=replace(setup.cameras, calibration=str(truth))))
@@ -48,7 +48,7 @@ with tempfile.TemporaryDirectory() as folder:
         f"off by {1000 * np.linalg.norm(off.translation):.3f} mm, {np.rad2deg(np.linalg.norm(off.rotvec)):.4f} degrees"
     )
 
-    # From now on, whatever is made with this file has the camera there, and can watch that it stays there.
+    # Environments made with this file use the new pose, and can monitor it.
     with rcs.make(replace(setup, cameras=replace(setup.cameras, calibration=str(file)))) as env:
         check = drift_check(env, "wrist")
         tour = Tour(env)

@@ -1,7 +1,7 @@
-"""Serve a policy, run it by its address, and see what late answers cost: open loop, ahead of time, and blended.
+"""Serve a policy, run it by its address, and compare executions under latency: open loop, receding, blended.
 
-The policy is a script that sees states alone and answers with chunks: where the gripper shall be in the next 0.8 s. It
-stands in for a learned one, which is served in the same way from an environment of its own.
+The policy is a script that observes only states and returns chunks: targets of the gripper for the next 0.8 s. It
+replaces a learned policy, which is served in the same way from an environment of its own.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rcs.spatial import distance, limit_step, tquat_to_matrix
 
 RATE, HORIZON = 20.0, 16  # rows per second [Hz], and of a chunk
 SPEED, TURN_SPEED = 0.25, 1.5
-"""How fast the TCP goes [m/s] and turns [rad/s]."""
+"""Speed of the TCP's translation [m/s] and rotation [rad/s]."""
 
 
 def chunk(seen: Observation, instruction: str) -> np.ndarray:
@@ -28,7 +28,7 @@ def chunk(seen: Observation, instruction: str) -> np.ndarray:
     is_held, opening = bool(seen.state["is_grasped"][0]), float(seen.state["gripper"][0])
     short_edge = tquat_to_matrix(cuboid)[:2, 1]
     yaw = np.arctan2(-short_edge[0], short_edge[1])
-    yaw = (yaw + np.pi / 2) % np.pi - np.pi / 2  # half a turn is the same to the pads
+    yaw = (yaw + np.pi / 2) % np.pi - np.pi / 2  # the pads are symmetric under half a turn
     down = [np.cos(yaw / 2), np.sin(yaw / 2), 0.0, 0.0]
     rows, closing = [], 0.3 if opening < 0.9 else 0.0
     for _ in range(HORIZON):

@@ -1,7 +1,7 @@
-"""Example 09 on a virtual FR3, which the vendor's own library drives: the same program, another site.
+"""Example 09 on a virtual FR3, controlled by the vendor's own library: the same program with another site.
 
-`rcs virtual fr3` has the same robot in a terminal of its own. For a real one, nothing but the site changes, and
-somebody watches: the arm begins where it stands. Needs the extra `franka`.
+`rcs virtual fr3` runs the same robot in a separate terminal. For a real one, only the site changes; watch the arm,
+which starts at its present position. Needs the extra `franka`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ PROGRAM = Path(__file__).with_name("09_site.py")
 
 with tempfile.TemporaryDirectory() as folder, VirtualProcess("fr3", log=Path(folder) / "log.jsonl") as virtual:
     file = Path(folder) / "site.json"
-    # The robot is the virtual one; no camera looks at it, so a fake one stands in.
+    # The virtual robot has no camera, so use a fake one.
     site = dataclasses.replace(virtual.site, cameras={"wrist": "fake:0123456789"})
     site.write(file)
     print(f"{virtual.name} runs as process {virtual.pid}; its site:", file.read_text(), sep="\n")

@@ -1,4 +1,4 @@
-"""Compares the arms' collision shapes with meshes of the real links: which self collisions they find and invent.
+"""Compare the arms' collision shapes with meshes of the real links: detected, missed and false self collisions.
 
     python tools/compare_self_collisions.py FOLDER [ARM ...]
 
@@ -46,7 +46,7 @@ LAST_DRAWN_GROUP = 2
 FAR = 0.1
 """Distance up to which the gap between two links' shapes is measured [m]."""
 SPACING = 0.004
-"""Distance between the points on a mesh at which it is asked whether a shape covers them [m]."""
+"""Distance between the points on a mesh that are tested for coverage by a shape [m]."""
 
 
 @dataclass
@@ -135,7 +135,7 @@ class Robot:
         self.shapes = {body: self._shapes_of(body) for body in self.bodies}
 
     def _are_joined(self, first: str, second: str) -> bool:
-        """Return whether two bodies are one rigid part, or a joint connects them."""
+        """Return True if two bodies are one rigid part, or a joint connects them."""
         model = self.model
         one, other = (int(model.body_weldid[model.body(name).id]) for name in (first, second))
         parents = [int(model.body_weldid[model.body_parentid[weld]]) for weld in (one, other)]

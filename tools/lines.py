@@ -1,4 +1,4 @@
-"""Lines of the three packages, and what they are: code, docstrings, imports, blank ones.
+"""Count the lines of the three packages by kind: code, docstrings, imports, blank.
 
     python tools/lines.py [ROOT]
 

@@ -1,4 +1,4 @@
-"""Draw the moving pictures of the documents: the scripted expert of every task on every robot that has an id for it.
+"""Render the animations of the documentation: the scripted expert of every task on every robot with an id for it.
 
 python tools/moving_pictures.py [NAME ...]    # writes docs/img/NAME.webp; all without a name
 """
@@ -27,7 +27,7 @@ RATE = 15
 FREQUENCY = 30.0
 """Control steps per second [Hz]."""
 PAUSE = 0.7
-"""How long the last picture stays [s]."""
+"""Duration of the last picture [s]."""
 SHOWN = {
     "pick_cuboid_fr3": ("PickCuboid", "fr3", 3),
     "pick_cuboid_ur5e": ("PickCuboid", "ur5e", 1),

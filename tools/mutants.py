@@ -127,7 +127,7 @@ def tests_of(path: Path) -> list[str]:
 
 
 def is_killed(mutant: Mutant, tests: list[str]) -> bool:
-    """Return whether tests fail with a mutant in place."""
+    """Return True if tests fail with a mutant in place."""
     source = mutant.path.read_bytes()
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", MARKS, *tests]
     try:

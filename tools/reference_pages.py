@@ -1,4 +1,4 @@
-"""Write the pages of the documents that describe tasks, robots and options, from the code itself.
+"""Write the reference pages of tasks, robots and options from the code.
 
 python tools/reference_pages.py    # writes docs/tasks, docs/robots and docs/options.md; a test finds stale ones
 """
@@ -48,31 +48,31 @@ MEANINGS = {  # keys of observations, then those of info
     "hand": "finger joints, normalised to their ranges",
     "rgb": "colour, rows from the top",
     "depth": "depth; 0 where there is no reading; only with `depth=True`",
-    "segmentation": "number of the instance; only with `segmentation=True`",
-    "geoms": "number of the geom; only with `segmentation=True`",
-    "points": "what each pixel shows; only with `points=True`",
+    "segmentation": "instance number; only with `segmentation=True`",
+    "geoms": "geom number; only with `segmentation=True`",
+    "points": "position of each pixel's surface; only with `points=True`",
     "intrinsics": "camera matrix",
     "distortion": "k1, k2, p1, p2, k3 of the lens, as in OpenCV",
     "extrinsics": "pose of the camera as a matrix; x right, y down, z forward",
-    "success": "whether the task is done",
-    "is_grasped": "whether the object is grasped: both pads of the gripper press on it (of two arms: of both)",
-    "is_touched": "whether any part of the robot presses on the object",
+    "success": "true if the task is done",
+    "is_grasped": "true if both pads of the gripper (with two arms, of both) press on the object",
+    "is_touched": "true if any part of the robot presses on the object",
     "cuboid": "pose of the cuboid in the robot's base frame: translation [m], quaternion xyzw",
-    "goal": "pose of the object where it belongs, at any yaw, in the robot's base frame: as above",
+    "goal": "goal pose of the object, at any yaw, in the robot's base frame: as above",
     "edges": "edges of the object along its x, y, z [m]",
-    "was_lifted": "whether the block was lifted or grasped, by which the episode is lost",
+    "was_lifted": "true if the block was lifted or grasped, which fails the episode",
     "block": "pose of the block in the robot's base frame: translation [m], quaternion xyzw",
     "toy": "pose of the toy in the robot's base frame: translation [m], quaternion xyzw; only its yaw counts",
     "bar_in_scene": "pose of the bar in the scene: translation [m], quaternion xyzw",
     "grasp_offset": "distance of each grasp from the middle of the bar, along its y axis [m]",
-    "instruction": "what a language-conditioned policy is told; after `reset` only",
+    "instruction": "text prompt of a language-conditioned policy; after `reset` only",
     "time": "time of the observation [s]",
     "end": "why the step ended: `period`, `converged`, `interrupted`, `limit`, `diverged`, `fault`; after `step` only",
-    "target": "what the action came to: absolute targets by key; after `step` only",
-    "is_limited": "whether a joint target was cut to the robot's speed; after `step` only",
+    "target": "absolute targets that result from the action, by key; after `step` only",
+    "is_limited": "true if a joint target was clipped to the robot's speed; after `step` only",
     "ik_status": "result of the inverse kinematics, an `IkStatus`; not with `joints`; after `step` only",
 }
-"""What the keys of observations, actions and info are; a key that is missing here is an error."""
+"""Meaning of the keys of observations, actions and info; a missing key is an error."""
 
 VALUES = {
     "Quality": get_args(Quality), "Assets": get_args(Assets), "Control": get_args(Control), "Preset": get_args(Preset),
@@ -81,12 +81,12 @@ VALUES = {
 }  # fmt: skip
 """Values of options by the name of their type."""
 
-NO_REWARD = "The reward is 0, no step terminates the episode, and `info` has no `success`: there is nothing to judge."
+NO_REWARD = "The task has no goal: the reward is 0, no step terminates the episode, and `info` has no `success`."
 
 STARTS = {
     "LiftBar": f"The bar is turned by at most {MAX_YAW:g} rad, so that the arms need not cross.",
 }
-"""What the start of a task has besides the place that is drawn."""
+"""Additional facts about the start of a task."""
 
 
 # --- Text -------------------------------------------------------------------------------------------------------------
@@ -234,7 +234,7 @@ def camera_table(lab: Lab) -> str:
         field_of_view = camera.fovy if seen is None else 2 * np.arctan(0.5 * seen.height / seen.fy)
         return f"`{name}`", camera.label, where, f"{number(np.rad2deg(field_of_view))}°", depth
 
-    head = ("name", "camera", "where", "vertical field of view", "depth")
+    head = ("name", "camera", "mounting", "vertical field of view", "depth")
     return table(head, [row(name, mount) for name, mount in lab.cameras.items()])
 
 
@@ -297,8 +297,8 @@ def task_page(name: str) -> str:
     parts += ["## Success and reward\n", " ".join(reward) + "\n"]
     if name != "Free":
         parts += [
-            "`reward=` says [what a step pays](../guide.md#rewards). An episode is terminated by success, and "
-            "truncated after `max_episode_steps` (300). Options are given as `task_options={…}`:\n",
+            "`reward=` selects the [reward](../guide.md#rewards). An episode is terminated by success, and "
+            "truncated after `max_episode_steps` (300). Set options by `task_options={…}`:\n",
             options_table(kind.Options),
         ]
     parts += ["## Start\n", paragraphs(kind.reset)[0] + " " + STARTS.get(name, "") + "\n"]
@@ -311,11 +311,11 @@ def task_page(name: str) -> str:
         rows.append((f"[{robot}](../robots/{robot}.md)", f"`{key}`", x, y, number(area.object_scale), cameras))
     head = ("robot", "id of `gymnasium.make`", "x [m]", "y [m]", "scale of objects", "cameras")
     parts += [
-        "The place is uniform over this area of the scene, and so is the yaw:\n" if name != "Free" else "",
+        "Position and yaw are uniform over this area of the scene:\n" if name != "Free" else "",
         table(head, rows),
     ]
     env = rcs.make(name, robot=first, cameras=tuple(lab_of(first).cameras)[:1])
-    parts += [f"## Observation\n\nOf `{first}`, with one of its cameras:\n", space_table(env.observation_space)]
+    parts += [f"## Observation\n\nFor `{first}` with one of its cameras:\n", space_table(env.observation_space)]
     env.close()
     parts += ["## Action\n", action_table(name, first), "## Info\n", info_table(name, first)]
     return "\n".join(part for part in parts if part)
@@ -374,26 +374,26 @@ def options_page() -> str:
     parts = [
         NOTE,
         "# Options\n",
-        "Everything that `rcs.make` takes. `rcs.make_vec` takes the fields of `Setup`, `layers`, and also `copies`, "
+        "All options of `rcs.make`. `rcs.make_vec` accepts the fields of `Setup`, `layers`, and also `copies`, "
         "`threads` and `autoreset`.\n",
         '```python\nimport rcs\n\nenv = rcs.make("PickCuboid", robot="ur5e", control="tquat", relative="absolute")\n'
         "env.close()\n```\n",
         "## Fields of `Setup`\n",
-        "They define the environment. A dataset stores them, and `rcs.Setup(...)` holds them as one record, which "
-        '`rcs.make` takes in the place of a task. `relative=True` is short for `"last_step"`, `relative=False` for '
+        "These fields define the environment. A dataset stores them, and `rcs.Setup(...)` is a record of them, which "
+        '`rcs.make` accepts instead of a task. `relative=True` is short for `"last_step"`, `relative=False` for '
         '`"absolute"`.\n',
         options_table(rcs.Setup),
         "## Fields of `Cameras`\n",
-        "`cameras=` takes names, `all`, mounts of your own by name, or `rcs.Cameras(...)` with these. On the command "
-        "line they stand beside the others: `--cameras`, `--image-size`, `--camera-mode`, `--camera-fps`, "
+        "`cameras=` accepts names, `all`, your own mounts by name, or `rcs.Cameras(...)` with these fields. On the command "
+        "line they are further options: `--cameras`, `--image-size`, `--camera-mode`, `--camera-fps`, "
         "`--camera-noise`, `--depth` and so on.\n",
         options_table(rcs.Cameras),
         "## Arguments of `rcs.make`\n",
-        "They are about this run, and are not stored.\n",
+        "These arguments concern only the present run and are not stored.\n",
         table(("argument", "meaning"), rows),
         "## Ranges of `Randomisation`\n",
         '`randomisation=True` or `"default"` takes these, `"mild"` half and `"strong"` about twice as much; '
-        "`rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` varies nothing but what is given.\n",
+        "`rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` varies only the given ones.\n",
         options_table(rcs.Randomisation),
         "## Options of `FieldRange`\n",
         "A range of any numeric field of the MuJoCo model; `Randomisation(fields=(…,))` takes any number of them.\n",

@@ -1,4 +1,4 @@
-"""How fast others step a comparable scene, beside Pick-Cuboid of this project, on the same two cores in turns.
+"""Compare the speed of other simulators on a similar scene with PickCuboid, in turns on the same two cores.
 
 Each runs in an environment of its own (build/peers, made when missing: 2.5 GB), two seconds at a time, several rounds.
 They do not simulate the same thing: control periods are 20 to 50 ms, physics steps 2 or 5 ms, models and contacts
@@ -32,12 +32,12 @@ PROGRAMS = {
     "Gymnasium-Robotics FetchPickAndPlace": ("gymnasium-robotics", "fetch_pick.py", (0, 84)),
     "robosuite Lift": ("robosuite", "robosuite_lift.py", (0, 84)),
 }
-"""Whose environment, which program, and the sizes of a camera's picture [px]; 0 is none."""
+"""Environment, program, and image sizes of a camera [px], 0 for none, by name."""
 
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     rounds: int = 3
     """Rounds, in each of which every program runs once."""
@@ -76,7 +76,7 @@ def main(options: Options) -> None:
 
 
 def python_of(name: str | None, console: Console) -> Path:
-    """Return the Python of somebody's environment, which is made when it is missing."""
+    """Return the Python of an environment, creating it if necessary."""
     if name is None:
         return Path(sys.executable)
     python = PLACE / name / "bin" / "python"
@@ -91,7 +91,7 @@ def python_of(name: str | None, console: Console) -> Path:
 
 
 def run(python: Path, program: str, size: int, cores: str) -> dict[str, Any] | None:
-    """Return what a program printed; None if it did not run."""
+    """Return the output of a program; None if it failed."""
     command = ["taskset", "-c", cores, str(python), str(HERE / program), str(size)]
     environment = {**os.environ, "MUJOCO_GL": "egl", "OMP_NUM_THREADS": "1"}
     answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300, env=environment)

@@ -1,4 +1,4 @@
-"""How many samples per second LeRobot's loader gives of an export: `lerobot_loader.py FOLDER WORKERS`.
+"""Measure the samples per second of LeRobot's loader on an export: `lerobot_loader.py FOLDER WORKERS`.
 
 A sample is one observation with all cameras, decoded by torchcodec, and 16 actions; a batch has 64, in random order.
 Prints one line of JSON: `samples_per_second` over ten seconds, after a warm-up.

@@ -1,4 +1,4 @@
-"""Samples per second of the same episodes by our loader and by LeRobot's, in turns, on the same two cores.
+"""Compare the samples per second of our loader and LeRobot's on the same episodes, in turns on the same two cores.
 
 The dataset is collected here: scripted episodes with two cameras of 224 x 224 pixels, and exported to LeRobot v3.0 as
 H.264 and as AV1, LeRobot's default. A sample is one observation with both images and 16 actions; a batch has 64, in
@@ -37,7 +37,7 @@ PACKAGE = HERE.parents[1] / "packages" / "vlagents"
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """Options of the benchmark."""
 
     episodes: int = 16
     """Episodes to collect."""

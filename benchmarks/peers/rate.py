@@ -1,4 +1,4 @@
-"""How fast something steps: shared by the programs beside it, which run in Pythons that do not have rcs."""
+"""Measure the rate of steps; shared by the programs of this folder, which run in Pythons without rcs."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ def report(step: Callable[[], Any], *, copies: int, control_period: float, physi
 
     Args:
         step: Makes one control step of all copies, with random actions and new episodes where due.
-        copies: How many environments a step is of.
+        copies: Number of environments in a step.
         control_period: Simulated time of a control step [s].
         physics_step: Time step of the physics [s].
-        more: More to print.
+        more: Further values to print.
     """
     warm = time.perf_counter() + 1.0
     while time.perf_counter() < warm:

@@ -1,4 +1,4 @@
-"""How many samples per second our loader gives of a dataset: `rcs_loader.py FOLDER WORKERS`; see lerobot_loader.py."""
+"""Measure the samples per second of our loader on a dataset: `rcs_loader.py FOLDER WORKERS`; see lerobot_loader.py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same actions in simulation and on the virtual robot: how far apart the joints are, but for a common lag."""
+"""Compare the joints in simulation and on the virtual robot for the same actions, up to a common lag."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from rehearsal.stage import GRIPPERS, OPEN, Array, stage
 import rcs
 
 LAGS = np.arange(-0.05, 0.4, 5e-4)
-"""Of the virtual robot behind the simulated one [s]."""
+"""Lags of the virtual robot behind the simulated one [s]."""
 SETTLE = 1.0
-"""How long the arm stands at the end [s]."""
+"""Time at rest at the end [s]."""
 
 
 def actions_of(dof: int) -> dict[str, Array]:
@@ -37,7 +37,7 @@ def actions_of(dof: int) -> dict[str, Array]:
 
 
 def play(env: rcs.Env, actions: Array) -> tuple[Array, Array, float]:
-    """Return when each step began, the joints after it, and by how much steps were late [s]."""
+    """Return the start of each step, the joints after it, and the lateness of steps [s]."""
     begins, joints, late = [], [], 0.0
     for action in actions:
         begins.append(time.monotonic())

@@ -1,4 +1,4 @@
-"""Reads of an SO101's servos in motion while packets are late, lost and damaged: how many are wrong.
+"""Count wrong readings of an SO101's servos in motion while packets are late, lost and damaged.
 
 A reading is right when the servo was there between the request and the answer, by the robot's own log, within a step of
 the encoder.

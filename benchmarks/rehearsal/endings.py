@@ -1,4 +1,4 @@
-"""How long a robot goes on that nobody commands any more: a program that is busy, and one that ends, in motion.
+"""Measure how long a robot continues after its program has become busy, or has ended, in motion.
 
 A child process leads the first joint at a constant speed through an environment, and ends. By the robot's log: from the
 end to where the speed falls below a share of what it was, and to where the robot stands.
@@ -19,11 +19,11 @@ from rehearsal.stage import GRIPPERS, OPEN, Array, Stage, percentile, stage
 
 VALID_FOR = 0.05
 BUSY = 5.0
-"""For how long the interpreter is kept [s]."""
+"""Time for which the GIL is held [s]."""
 SPEEDS = {"fr3": 0.6, "ur5e": 0.6, "xarm7": 0.3, "so101": 1.0}
-"""Of the first joint [rad/s]."""
+"""Speeds of the first joint [rad/s]."""
 CRUISE = 0.9
-"""For how long it moves before the end [s]."""
+"""Time in motion before the end [s]."""
 ENDS = ("sigkill", "sigterm", "exception", "exit")
 CHILD = "import sys; sys.path[:0] = {path!r}; from rehearsal import endings; endings.be_program(*{words!r})"
 WINDOW = {"so101": 0.06}
@@ -36,7 +36,7 @@ STANDS = 0.05
 
 
 def be_program(site: str, robot: str, end: str, way: float) -> None:
-    """Lead the robot one way, say when the end comes, and end."""
+    """Move the robot in one direction, announce the end, and end."""
     import rcs
 
     env = rcs.make("Free", robot=robot, hardware=site, end_effector=GRIPPERS.get(robot), max_episode_steps=None)
@@ -56,7 +56,7 @@ def be_program(site: str, robot: str, end: str, way: float) -> None:
 
 
 def end_program(one: Stage, end: str, way: float) -> float:
-    """Have a program end in motion, and return when."""
+    """End a program in motion and return the time."""
     path = one.log.with_name("site.json")
     one.site.write(path)
     words = (str(path), one.robot, end, way)
@@ -77,7 +77,7 @@ def end_program(one: Stage, end: str, way: float) -> float:
 
 
 def keep_interpreter(seconds: float) -> None:
-    """Keep the interpreter's lock in calls of C, the last one for half of the time."""
+    """Hold the GIL in C calls, the last of which takes half of the time."""
     letters, begin = 18, time.monotonic()
     while time.monotonic() < begin + seconds:
         re.match(r"(a+)+$", "a" * letters + "b")  # takes twice as long with each letter

@@ -1,4 +1,4 @@
-"""Every fault that a virtual robot knows, at random moments of a motion: when it is told, and what follows.
+"""Cause every fault of a virtual robot at random times of a motion, and measure its report and effects.
 
 A fault must end the episode within 100 ms (a controller that hangs, or a cable that is out, within 300), the rows until
 then stay, nothing moves at `recover`, and the robot works again after it. What is no fault must not disturb.
@@ -24,17 +24,17 @@ from rcs.virtual.fault import GENERIC
 Words = tuple[str, ...]
 
 SPEED = 0.2
-"""Of the first and the last joint, a share of the largest."""
+"""Speed of the first and last joint, as a fraction of the largest."""
 PATIENCE = 1.2
-"""How long a fault is waited for [s]."""
+"""Timeout for a fault [s]."""
 STANDS = 0.6
-"""After a fault, until the robot stands [s]."""
+"""Time from a fault to standstill [s]."""
 WATCHED = 0.3
-"""After `recover`, for how long nothing may move [s]."""
+"""Time after `recover` during which nothing may move [s]."""
 SOME = ("freeze 2", "cut", "late 20/100", "lose 3", "lose 1/100", "corrupt 3", "corrupt 1/100")
-"""What is told of the faults that all robots know."""
+"""Faults of all robots to cause."""
 CODES = {"fr3": ("0", "5", "9"), "so101": ("2", "4", "8"), "xarm7": ("21", "31", "35")}
-"""Of the robots that have a fault `code`."""
+"""Codes by robot, for those with a fault `code`."""
 VERSIONS = {"fr3": "9", "ur5e": "1", "xarm7": "1.8.0", "so101": "1234"}
 """Others than the drivers speak with; who is connected notices nothing, but for the FR3, which hangs up."""
 GRIPPER_CODE = "10"
@@ -56,7 +56,7 @@ def words_of(robot: str, kind: str, random: np.random.Generator) -> Words:
 
 
 def try_fault(one: Stage, env: rcs.Env, words: Words, random: np.random.Generator) -> dict[str, Any]:
-    """Have something go wrong in motion, recover, and return what was seen."""
+    """Cause a fault in motion, recover, and return the measurements."""
     begin(env)
     shape, steps = env.action_space["joints"].shape, 0
     most = SPEED * env.action_space["joints"].high
