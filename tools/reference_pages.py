@@ -384,8 +384,8 @@ def options_page() -> str:
         '`"absolute"`.\n',
         options_table(rcs.Setup),
         "## Fields of `Cameras`\n",
-        "`cameras=` accepts names, `all`, your own mounts by name, or `rcs.Cameras(...)` with these fields. On the command "
-        "line they are further options: `--cameras`, `--image-size`, `--camera-mode`, `--camera-fps`, "
+        "`cameras=` accepts names, `all`, your own mounts by name, or `rcs.Cameras(...)` with these fields. On the "
+        "command line they are further options: `--cameras`, `--image-size`, `--camera-mode`, `--camera-fps`, "
         "`--camera-noise`, `--depth` and so on.\n",
         options_table(rcs.Cameras),
         "## Arguments of `rcs.make`\n",
