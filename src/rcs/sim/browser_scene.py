@@ -138,7 +138,7 @@ class BrowserScene:
         mujoco.mj_flex(model, seen)
 
     def _look_at(self, robots: Sequence[RobotPlacement]) -> None:
-        """Make every page start where the robots are seen well, in the direction of the overview camera."""
+        """Start every page with a view of the robots from the direction of the overview camera."""
         camera, start = self._model.camera(OVERVIEW), self._server.initial_camera
         # A camera of MuJoCo's looks along -z.
         forward = -Pose((0.0, 0.0, 0.0), tuple(wxyz_to_xyzw(camera.quat))).matrix[:3, 2]

@@ -74,7 +74,7 @@ class CameraFeed:
 
     @property
     def held(self) -> dict[str, FrameArrays]:
-        """Frames that later steps may show again: those of cameras without a new one in each step."""
+        """Frames of cameras without a new one in each step, which later steps show again."""
         return {name: frame for name, frame in self._last.items() if not self._clock.has_frame_each_step(name)}
 
     @held.setter

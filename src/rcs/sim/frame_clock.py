@@ -73,8 +73,8 @@ class FrameClock:
         self.numbers = {name: np.full(copies, -1, np.int64) for name in rates}
         """Number of the newest frame since the start of the episode, (copies,), counted from 0 as by the device."""
         self.steps: NDArray[np.int64] = world.core.steps
-        """Control steps since the start of each copy's episode, (copies,): those of the world, live. A program that
-        shows states of a recording puts its own in their place."""
+        """Control steps since the start of each copy's episode, (copies,): live counts of the world. A program that
+        shows recorded states replaces them by its own."""
         self.keys = np.zeros(copies, np.uint64)
         """Random bits of the present episodes, (copies,)."""
         self._start_times = np.zeros(copies)

@@ -8,7 +8,6 @@ found on a grid of rays coarser than the image, since the gel rounds off finer d
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,18 +161,6 @@ def _blur_rows(image: Image, sigma: float, finer: int) -> Image:
             row += weight * padded[start : start + len(image)]
         blurred[phase::finer] = row
     return blurred
-
-
-class GelRenderer(Protocol):
-    """Turns displacements of the gel into camera frames."""
-
-    def draw(self, displacement: Image) -> GelImage:
-        """Return the frame (height, width, 3) of a displacement towards the camera [m] (height, width)."""
-        ...
-
-    def close(self) -> None:
-        """Free resources. Closing twice is harmless."""
-        ...
 
 
 class GelLight:

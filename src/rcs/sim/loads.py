@@ -22,7 +22,7 @@ class SimLoads:
     """Torques of an arm's drives and the wrench on its tool, of the last physics step of every copy."""
 
     def __init__(self, robot: SimRobot) -> None:
-        """Have a robot's loads measured."""
+        """Start to measure a robot's loads."""
         self._world = robot.world
         self._dof = robot.placement.arm.dof
         self._first = robot.world.core.measure(ArmLoads(_body(robot)))
@@ -46,7 +46,7 @@ class SimContacts:
     """Contacts of a robot's fingers, and grasps, in every copy."""
 
     def __init__(self, robot: SimRobot) -> None:
-        """Have the contacts of a gripper's pads, or of a hand's fingers, measured.
+        """Start to measure the contacts of a gripper's pads, or of a hand's fingers.
 
         Raises:
             InvalidSetup: The robot has neither.

@@ -181,9 +181,9 @@ def find_rows(model: mujoco.MjModel, wanted: FieldRange) -> tuple[NDArray[np.int
 
 
 def prepare_model(model: mujoco.MjModel, wanted: Iterable[FieldRange]) -> None:
-    """Make a compiled model take notice of varied fields, before there is a world of it.
+    """Prepare a compiled model for fields that will vary, before a world uses it.
 
-    MuJoCo skips places that are zero when it compiles, and looks for contacts within bodies by boxes of that moment.
+    MuJoCo skips positions that are zero when it compiles, and its bounding boxes within bodies are of that moment.
     """
     for one in wanted:
         rows, _ = find_rows(model, one)

@@ -131,7 +131,7 @@ class Randomisation(Record):
 
     @classmethod
     def strong(cls) -> Self:
-        """Return about twice the default ranges, with four distractors: what an expert still copes with."""
+        """Return about twice the default ranges, with four distractors; experts still succeed."""
         return cls(**_preset("strong"))
 
     @classmethod

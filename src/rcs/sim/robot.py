@@ -199,7 +199,7 @@ class SimRobot:
         return self._target.copy()
 
     def stop(self) -> None:
-        """Have the arm of every copy brake to rest within its limits, from where it is measured; any thread may."""
+        """Brake the arm of every copy to rest within its limits; any thread may call this."""
         self._target[...] = self.joints
         self._order_to_hold[...] = 1.0
 
@@ -268,7 +268,7 @@ class SimRobot:
             qpos[_at(layout.hand_qpos, copies)] = ctrl[_at(layout.hand_ctrl, copies)]
 
     def wait_for_arrival(self, latency: float = 0.0) -> None:
-        """Make synchronous steps of the world wait until the arm has arrived and the fingers are at rest.
+        """End synchronous steps of the world only when the arm has arrived and the fingers are at rest.
 
         Args:
             latency: Longest time until fingers get their targets [s].

@@ -21,9 +21,9 @@ LOAD_MASS = 1e-6
 
 
 def give_way(spec: mujoco.MjSpec, robot: RobotPlacement) -> None:
-    """Have the servos of a robot in a scene give way, if it has a compliance.
+    """Make the servos of a robot with a compliance give way.
 
-    Controllers that lead an arm by torques measure them behind the gears, and make up for friction; so there is none.
+    Controllers that lead an arm by torques measure them behind the gears and compensate friction, so joints have none.
     """
     compliance = robot.compliance
     if compliance is None:

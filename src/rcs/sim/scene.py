@@ -79,7 +79,7 @@ class RobotPlacement:
 
     @property
     def motion(self) -> str:
-        """Name of the number that says where the model's user data have the motion of the arm."""
+        """Name of the model's number with the place of the arm's motion in the user data."""
         return f"{self.prefix}motion"
 
     @property
@@ -216,7 +216,7 @@ class Scene:
                 )
 
     def _aim_overview(self, robots: list[RobotPlacement]) -> None:
-        """Have the overview see robots whole, however high they reach, from the side from which it looks."""
+        """Move the overview camera back until it sees whole robots, however high they reach."""
         camera = self.spec.camera(OVERVIEW)
         if camera is None:
             return  # a scene of the user's own

@@ -18,7 +18,7 @@ HIDDEN_FROM_GROUP = 3
 """Geoms of this group and above are not shown, as in MuJoCo's own viewer; collision shapes are in group 3."""
 
 AROUND = 32
-"""Edges of what is round."""
+"""Edges of round shapes."""
 
 HALF_PLANE = 5.0
 """Half of an edge of a plane without end [m]."""

@@ -68,7 +68,7 @@ class StateTransfer:
 
 
 def of_another_simulation(given: int, own: int) -> str:
-    """Return the words for states whose size is not that of the same scene's."""
+    """Return the error message for states of another size."""
     return (
         f"The recorded states have {given} numbers; states of this scene have {own}. They are of another version of "
         "this package, whose simulation moves differently: the recorded actions would end elsewhere. The recording can "

@@ -8,16 +8,19 @@ by default the measured contact force determines the indentation. Soft bodies (f
 from __future__ import annotations
 
 import copy as copying
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
-from rcs.sim.gel import Gel, GelImage, GelLight, GelRenderer
+from rcs.sim.gel import Gel, GelImage, GelLight
 from rcs.sim.tactile_mounts import UNFELT_GROUP, TactilePlacement
 from rcs.sim.world import World
+
+if TYPE_CHECKING:
+    from rcs.sim.tacto import Tacto
 
 Indentation = Literal["force", "geometry"]
 """Source of the indentation. `force`: the normal force on the gel, in proportion up to the sensor's largest.
@@ -228,10 +231,11 @@ def _around(flags: NDArray[np.bool_], across: int) -> slice:
     return slice(max(int(found[0]) - 2, 0) * COARSER, (int(found[-1]) + 3) * COARSER)
 
 
-def _renderer(placement: TactilePlacement, gel: Gel, look: TactileLook, background: GelImage | None) -> GelRenderer:
+def _renderer(
+    placement: TactilePlacement, gel: Gel, look: TactileLook, background: GelImage | None
+) -> GelLight | Tacto:
     if look == "tacto":
-        # Imported here, since it needs packages that most users do not have.
-        from rcs.sim.tacto import Tacto
+        from rcs.sim.tacto import Tacto  # needs packages that most users do not have
 
         return Tacto(placement.sensor, gel)
     return GelLight(placement.sensor, gel, background)

@@ -60,7 +60,7 @@ class Course:
         return self.target
 
     def _lead(self, passed: float) -> None:
-        """Let some time pass [s] with the present goal.
+        """Advance towards the present goal for some time [s].
 
         Two low-passes in a row are the velocity that covers the way in two time constants, through a low-pass of half a
         time constant. At most it is one from which half of the acceleration stops the arm in time.
@@ -74,7 +74,7 @@ class Course:
 
 
 class TimedArm:
-    """One arm of a `TimedWorld`, whose servos are given the position and the velocity of its target."""
+    """One arm of a `TimedWorld`, whose servos get the position and the velocity of its target."""
 
     def __init__(self, world: World, robot: RobotPlacement, smoothing: float) -> None:
         """Look the arm up in a world, and put it at home with an open gripper."""
@@ -153,7 +153,7 @@ class TimedWorld:
         self.world.refresh()
 
     def start(self, time: float, joints: Mapping[str, NDArray[np.float64]] | None = None) -> None:
-        """Have the arms stand still at a moment.
+        """Hold the arms still at a moment.
 
         Args:
             time: The moment [s].

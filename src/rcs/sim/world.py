@@ -149,7 +149,7 @@ class World:
         return self.core.substeps
 
     def read_pose(self, body: str, frame: str = "world") -> int:
-        """Have the pose of a body in the frame of another one read out; returns its index in `poses`.
+        """Register the pose of a body in the frame of another one; return its index in `poses`.
 
         Raises:
             KeyError: A body is not in the model.
@@ -157,7 +157,7 @@ class World:
         return self.core.read_body_pose(self.model.body(body).id, self.model.body(frame).id)
 
     def read_force(self, first: NDArray[np.uint8], second: NDArray[np.uint8]) -> int:
-        """Have the normal force between two sets of surfaces read out; returns its index in `forces`.
+        """Register the normal force between two sets of surfaces; return its index in `forces`.
 
         Args:
             first: Flags of `geom_flags` or `subtree_flags`.
@@ -231,12 +231,12 @@ class World:
         self.core.refresh(*_chosen(copies))
 
     def save(self, copies: Copies = None) -> NDArray[np.float64]:
-        """Return everything that decides the future of copies, and what was read out, (copies, values)."""
+        """Return everything that decides the future of copies, and the readouts, (copies, values)."""
         chosen = range(self.copies) if copies is None else copies
         return np.stack([self.core.save(int(copy)) for copy in chosen])
 
     def load(self, saved: NDArray[np.float64], copies: Copies = None) -> None:
-        """Write back what `save` returned, (copies, values), also that of another world of the same kind.
+        """Write back a result of `save`, (copies, values), also one of another world of the same kind.
 
         Raises:
             InvalidSetup: It has another size.
@@ -313,7 +313,7 @@ class World:
         return flags
 
     def subtree_flags(self, body: str) -> NDArray[np.uint8]:
-        """Return one flag per geom, then one per flex, that is 1 for those of a body and everything attached to it.
+        """Return flags per geom, then per flex: 1 for those of a body and everything attached to it.
 
         Raises:
             KeyError: The body is not in the model.

@@ -120,7 +120,7 @@ class Randomiser:
         return found
 
     def write_with(self, write: Write) -> None:
-        """Have a function write the draws."""
+        """Write the draws with a function, too."""
         self._writes.append(write)
 
     def scale(self, field: str, names: Sequence[str], rows: Mapping[str, Sequence[ArrayLike]]) -> bool:
@@ -153,7 +153,7 @@ class Randomiser:
         return {name: values[..., known.index(name)] for name in names}
 
     def begin_too(self, begin: Callable[[EpisodeRandom, Copies], None]) -> None:
-        """Have something else started with the streams of each episode; it takes a branch of them."""
+        """Call a function with the streams of each episode, of which it takes a branch."""
         self._begins.append(begin)
 
     def begin(self, draws: EpisodeRandom, copies: Copies = None) -> None:
@@ -190,6 +190,6 @@ class Randomiser:
         self.settle(copies)
 
     def settle(self, copies: Copies = None) -> None:
-        """Make the present controls of some copies those that were always given, after writing them."""
+        """Fill the history of some copies with their present controls, after writing them."""
         if self._latency is not None:
             self._latency.settle(copies)

@@ -87,7 +87,7 @@ def add_table(vary: Randomiser) -> None:
 
 
 def add_latency(vary: Randomiser, robots: Sequence[RobotPlacement]) -> ActionLatency | None:
-    """Vary the latency of actions, the same for all robots; return what delays them."""
+    """Vary the latency of actions, the same for all robots."""
     if not vary.ranges.varies("action_latency") or not robots:
         return None
     latency = ActionLatency(vary, robots)
@@ -142,7 +142,7 @@ class ActionLatency:
         self._delays.write(np.broadcast_to(delay, (*delay.shape[:-1], len(self._ids))), copies)
 
     def settle(self, copies: Copies = None) -> None:
-        """Make the present controls of some copies those that were always given."""
+        """Fill the history of some copies with their present controls."""
         ctrl = self._world.ctrl
         history = self._history()
         for actuator, slots in zip(self._ids, self._slots, strict=True):
