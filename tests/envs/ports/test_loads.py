@@ -148,8 +148,8 @@ def _of(value: Any, copy: int) -> Any:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"observe": ("torque",)}, r"observe has \['torque'\]; valid: 'torques', 'wrench'"),
-        ({"observe": "torques"}, "give a tuple of names"),
+        ({"observe": ("torque",)}, r"observe is .*'torque'.*valid: a sequence, each 'torques', 'wrench'"),
+        ({"observe": "torques"}, r"Give a sequence, such as \('torques',\)"),
         ({"observe": ("privileged",), "task": "Free"}, "has no objects to observe"),
         ({"collision_reaction": 1}, "valid: True, False"),
     ],
