@@ -9,10 +9,12 @@ import pytest
 
 import rcs
 from rcs.devices import lookup
+from rcs.envs.task import Area
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.fr3.description import FR3
+from rcs.robots.mount import Mount, Obstacle
 from rcs.setups.ids import ids
-from rcs.setups.lab import lab_of, looking, plain_lab
+from rcs.setups.lab import Lab, Stand, lab_of, looking, plain_lab
 from rcs.spatial import Pose
 
 
@@ -59,3 +61,41 @@ def test_looking_points_the_optical_axis_at_the_target_with_the_picture_upright(
     np.testing.assert_allclose(matrix[:3, 2], -np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0), atol=1e-12)
     assert matrix[2, 1] < 0, "the picture's y axis points down"
     assert abs(matrix[2, 0]) < 1e-12, "its x axis is level"
+
+
+MY_LAB = Lab(
+    stands=(Stand(name="fr3", arm=FR3),),
+    end_effector="franka_hand",
+    area=Area(),
+    obstacles={"box": Obstacle(size=(0.1, 0.2, 0.3), pose=Mount(translation=(0.3, 0.5, 0.15)))},
+)
+MY_ARM = dataclasses.replace(FR3, name="mine")
+
+
+def test_a_lab_of_ones_own_has_obstacles_that_stand_still() -> None:
+    with rcs.make("PickCuboid", robot=MY_LAB) as env:
+        assert rcs.Setup.from_json(env.setup.to_json()) == env.setup
+        world = env.simulation.world
+        np.testing.assert_allclose(world.model.geom("box").size, (0.05, 0.1, 0.15))
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
+        np.testing.assert_allclose(world.model.body("box").pos, (0.3, 0.5, 0.15))
+
+
+def test_an_arm_that_is_a_global_variable_is_a_robot() -> None:
+    setup = rcs.Setup("Free", robot=MY_ARM)
+    assert str(setup.robot).endswith(":MY_ARM")
+    with rcs.make(rcs.Setup.from_json(setup.to_json())) as env:
+        assert list(env.platform) == ["mine"]
+    with pytest.raises(InvalidSetup, match="global variable"):
+        rcs.make("Free", robot=dataclasses.replace(FR3, name="nowhere"))
+
+
+def test_arms_of_different_kinds_stand_side_by_side() -> None:
+    with rcs.make("Free", robot={"left": "fr3", "right": "ur5e"}, end_effector={"right": "robotiq_2f85"}) as env:
+        observation, _ = env.reset(seed=0)
+        assert observation["left"]["joints"].shape == (7,)
+        assert observation["right"]["joints"].shape == (6,)
+        assert rcs.Setup.from_json(env.setup.to_json()) == env.setup
+        before = observation["left"]["tquat"][1], observation["right"]["tquat"][1]
+        assert all(np.isfinite(before))

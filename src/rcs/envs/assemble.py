@@ -134,6 +134,8 @@ def compose(parts: Parts) -> Scene:
     parts.task.furnish(scene)
     if parts.clutter is not None:
         parts.clutter.furnish(scene)
+    for name, obstacle in parts.obstacles.items():
+        scene.add_obstacle(name, obstacle)
     for robot in _bodies(parts):
         scene.add_robot(robot, assets=parts.setup.assets)
     parts.task.equip(scene, parts.robots)

@@ -12,6 +12,7 @@ from rcs.envs.setup import Setup
 from rcs.envs.task import Task
 from rcs.envs.variation.clutter import Clutter
 from rcs.hardware.site import Devices
+from rcs.robots.mount import Obstacle
 from rcs.sim.scene import CameraPlacement, RobotPlacement
 from rcs.sim.tactile_mounts import TactilePlacement
 
@@ -29,6 +30,8 @@ class Parts:
     task: Task
     clutter: Clutter | None = None
     """What lies about besides the objects of the task; None for nothing."""
+    obstacles: Mapping[str, Obstacle] = field(default_factory=dict[str, Obstacle])
+    """Boxes of the lab that stand still, by name."""
     devices: Devices = field(default_factory=Devices)
     """What is real; all else is simulated."""
     layers: Mapping[str, Sequence[Layer]] = field(default_factory=dict[str, Sequence[Layer]])

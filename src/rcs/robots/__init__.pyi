@@ -8,9 +8,11 @@ from rcs.robots.description import HandDescription as HandDescription
 from rcs.robots.digit.description import DIGIT as DIGIT
 from rcs.robots.fr3.description import FR3 as FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND as FRANKA_HAND
+from rcs.robots.from_mjcf import arm_from_mjcf as arm_from_mjcf
 from rcs.robots.menagerie import MenagerieBody as MenagerieBody
 from rcs.robots.menagerie import MenagerieVisuals as MenagerieVisuals
 from rcs.robots.mount import Mount as Mount
+from rcs.robots.mount import Obstacle as Obstacle
 from rcs.robots.realsense_d405.description import REALSENSE_D405 as REALSENSE_D405
 from rcs.robots.realsense_d435.description import REALSENSE_D435 as REALSENSE_D435
 from rcs.robots.realsense_d435i.description import REALSENSE_D435I as REALSENSE_D435I

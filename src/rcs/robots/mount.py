@@ -1,10 +1,10 @@
-"""A fixed pose of one part in the frame of another, as plain numbers."""
+"""A fixed pose of one part in the frame of another, and boxes at such poses, as plain numbers."""
 
 from __future__ import annotations
 
 import math
 
-from rcs_data.record import Record
+from rcs_data.record import Positive, Record, Share
 
 from rcs.errors import InvalidSetup
 from rcs.spatial import Pose
@@ -39,3 +39,14 @@ class Mount(Record):
     def pose(self) -> Pose:
         """The mount as a `Pose`."""
         return Pose(self.translation, self.quaternion)
+
+
+class Obstacle(Record):
+    """A box that stands still in the scene."""
+
+    size: tuple[Positive, Positive, Positive]
+    """Lengths of its edges along its x, y and z [m]."""
+    pose: Mount
+    """Pose of its centre in the scene, whose origin is on the table top."""
+    colour: tuple[Share, Share, Share] = (0.45, 0.47, 0.50)
+    """Red, green and blue, 0 … 1."""

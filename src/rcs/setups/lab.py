@@ -1,35 +1,40 @@
-"""What a lab is: robots and where they stand, the workspace on their table, and where cameras are mounted."""
+"""Labs: robots and where they stand, the workspace on their table, camera mounts and obstacles."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
+
+from rcs_data.record import Record, converted
 
 from rcs.devices import lookup
 from rcs.envs.task import Area
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.camera_mount import CameraMount, looking
 from rcs.robots.description import ArmDescription, Mount
+from rcs.robots.mount import Obstacle
 
 SPACING = 0.82
 """Distance of arms beside each other, in proportion to the larger reach: that of the two FR3 of the paper's lab."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stand:
+def _arm_name(given: str | ArmDescription) -> str:
+    return lookup.name_of("arm", given)
+
+
+class Stand(Record):
     """One robot of a lab."""
 
     name: str
     """Name in keys and prefixes."""
-    arm: str
-    """Name of the arm."""
+    arm: str = converted(converter=_arm_name)
+    """The arm: its name, `module:NAME`, or its description."""
     base_in_scene: Mount = Mount()
     """Pose of its base frame in the scene, whose origin is on the table top."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Lab:
-    """What usually stands around a robot."""
+class Lab(Record):
+    """Robots and their surroundings; `robot=` takes one that is a global variable of a module."""
 
     stands: tuple[Stand, ...]
     """Its robots."""
@@ -37,8 +42,10 @@ class Lab:
     """Name of the usual end effector of every robot; None for a bare flange."""
     area: Area
     """Where tasks take place."""
-    cameras: dict[str, CameraMount] = field(default_factory=dict[str, CameraMount])
+    cameras: Mapping[str, CameraMount] = field(default_factory=dict[str, CameraMount])
     """Camera mounts by name."""
+    obstacles: Mapping[str, Obstacle] = field(default_factory=dict[str, Obstacle])
+    """Boxes that stand still, by name; robots collide with them, and planners and guards know them."""
 
 
 def lab_of(robot: str | Mapping[str, str]) -> Lab:

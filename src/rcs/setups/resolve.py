@@ -86,6 +86,7 @@ def resolve(setup: Setup) -> Parts:
         setup=setup,
         robots=robots,
         cameras=cameras,
+        obstacles=lab.obstacles,
         tactile=tactile,
         task=task(lab.area, setup.task_options),
         clutter=Distractors(count, scale=lab.area.object_scale) if count else None,

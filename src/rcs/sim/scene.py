@@ -18,6 +18,7 @@ from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, compiled, 
 from rcs.robots.calibration import CameraCalibration
 from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
+from rcs.robots.mount import Obstacle
 from rcs.sim.detail import Assets, exchange_visuals
 from rcs.sim.model_fields import FieldRange, prepare_model
 from rcs.sim.robot_check import check_robot
@@ -256,6 +257,21 @@ class Scene:
                     conaffinity=0,
                     group=1,
                 )
+
+    def add_obstacle(self, name: str, obstacle: Obstacle) -> None:
+        """Add a box that stands still.
+
+        Args:
+            name: Name of its body and geom.
+            obstacle: Its size, place and colour.
+        """
+        body = self.spec.worldbody.add_body(name=name, pos=obstacle.pose.translation)
+        x, y, z, w = obstacle.pose.quaternion
+        body.quat = [w, x, y, z]
+        half = [edge / 2 for edge in obstacle.size]
+        body.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=[*obstacle.colour, 1.0], condim=4, group=0
+        )
 
     def add_robot(self, robot: RobotPlacement, *, assets: Assets = "builtin") -> None:
         """Add a robot to the scene, with its end effector.

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from rcs.envs.task import Area
+from rcs.robots.camera_mount import CameraMount, looking
 from rcs.robots.description import Mount
-from rcs.setups.lab import CameraMount, Lab, Stand, looking
+from rcs.setups.lab import Lab, Stand
 
 DISTANCE = 0.70
 """Between the two bases [m]: far enough that the elbows do not meet, near enough that the workspaces do."""

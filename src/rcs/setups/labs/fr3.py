@@ -8,9 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from rcs.envs.task import Area
+from rcs.robots.camera_mount import CameraMount
 from rcs.robots.description import Mount
 from rcs.setups.calibration import calibrated
-from rcs.setups.lab import CameraMount, Lab, Stand
+from rcs.setups.lab import Lab, Stand
 
 LAB = calibrated(
     Lab(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from rcs.envs.task import Area
+from rcs.robots.camera_mount import CameraMount, looking
 from rcs.robots.description import Mount
-from rcs.setups.lab import CameraMount, Lab, Stand, looking
+from rcs.setups.lab import Lab, Stand
 
 LAB = Lab(
     stands=(Stand(name="so101", arm="so101"),),

@@ -5,8 +5,9 @@ from __future__ import annotations
 from math import sqrt
 
 from rcs.envs.task import Area
+from rcs.robots.camera_mount import CameraMount, looking
 from rcs.robots.description import Mount
-from rcs.setups.lab import CameraMount, Lab, Stand, looking
+from rcs.setups.lab import Lab, Stand
 
 LAB = Lab(
     # Its home pose points along the base's y axis: a quarter turn makes that the scene's x.

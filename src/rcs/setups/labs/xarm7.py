@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from rcs.envs.task import Area
-from rcs.setups.lab import CameraMount, Lab, Stand, looking
+from rcs.robots.camera_mount import CameraMount, looking
+from rcs.setups.lab import Lab, Stand
 
 LAB = Lab(
     stands=(Stand(name="xarm7", arm="xarm7"),),
