@@ -154,7 +154,7 @@ def test_without_leave_nothing_moves(tmp_path: Path, say, answers: tuple[str, ..
 @pytest.mark.parametrize("answers", [("yes",), ("yes", "")])
 def test_when_the_person_has_gone_the_collection_ends_with_the_devices_closed(tmp_path: Path, say, answers) -> None:
     say(*answers)
-    with pytest.raises(Refused, match="nobody can be asked"):
+    with pytest.raises(Refused, match="run the command at a terminal"):
         run(plan(tmp_path / "data"))
     assert not Dataset.open(tmp_path / "data").episodes
     assert not made[-1].is_open

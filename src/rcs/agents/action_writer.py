@@ -22,7 +22,7 @@ MARGIN = 0.9
 class ActionWriter:
     """Writes actions for one environment: joints, poses or twists, absolute or relative, according to its setup.
 
-    Under the layer `KeepTilt`, which tilts the tool itself, it writes what is left of a pose.
+    Under the layer `KeepTilt`, which tilts the tool itself, it writes the rest of a pose.
 
     Relative actions count from the target actually reached, which `follow` takes from the step's info, since a layer
     may have limited it.
@@ -34,9 +34,9 @@ class ActionWriter:
         """Prepare to write for an environment.
 
         Args:
-            setup: Has the control mode.
+            setup: The setup, which has the control mode.
             action_space: Bounds of an action.
-            kinematics: Of the arm with its gripper, for joint actions.
+            kinematics: Kinematics of the arm with its gripper, for joint actions.
             preferred: Joints to which an arm with more than six returns while its TCP moves [rad], shape (dof,), for
                 joint actions; None for none.
         """
@@ -128,7 +128,7 @@ class ActionWriter:
 def difference(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the motion along and about the axes of the parent frame that takes `start` to `goal`, all (7,).
 
-    Of the two quaternions of its rotation, it has the one whose last entry is not negative.
+    The last entry of its quaternion is not negative.
     """
     step = compose((0.0, 0.0, 0.0, *goal[3:]), inverse((0.0, 0.0, 0.0, *start[3:])))
     step *= np.sign(step[6]) or 1.0

@@ -21,7 +21,7 @@ class Agent(ABC):
     """Maps an observation to an action. Agents for an environment are made by a factory: `PickExpert(env)`."""
 
     rate: float | None = None
-    """How often the agent decides [Hz]; None for once per step of the environment."""
+    """Rate of decisions [Hz]; None for once per step of the environment."""
 
     @abstractmethod
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:

@@ -41,21 +41,21 @@ TURN_RANGE = np.deg2rad(115.0)
 """Largest turn of the tool from where it is at home [rad]: of the two ways to grasp, the nearer one within it."""
 
 Goal = tuple[NDArray[np.float64], NDArray[np.bool_]]
-"""Where the TCP shall go, (*leading, 7), and whether the gripper shall be open, (*leading,)."""
+"""Goal of the TCP, (*leading, 7), and whether to open the gripper, (*leading,)."""
 
 
 class PickTeacher(Agent):
     """Picks the cuboid with one step of feedback per action, from any state, in one environment or in many copies.
 
     It remembers nothing: an action follows from the TCP pose, the last target, the opening, the pose of the cuboid and
-    whether it is grasped. So it may label states that somebody else's actions led to, as DAgger needs, and a policy
+    whether it is grasped. So it can label states that other actions led to, as DAgger needs, and a policy
     that sees as much can learn it. It moves above the cuboid, into a funnel that leads down to the grasp, closes, and
     lifts; without the cuboid between its pads it opens and starts anew. `PickExpert` goes through phases instead, waits
     in them, plans its grasp and keeps away from joint limits.
     """
 
     task: ClassVar[type[PickCuboid | Place]] = PickCuboid
-    """What it does."""
+    """The task."""
 
     def __init__(self, env: Env | VecEnv) -> None:
         """Prepare for an environment.

@@ -48,7 +48,7 @@ class Phase:
     risk: tuple[str, Condition] | None = None
     """Class of a failure that ends the attempt, and the test for it."""
     is_judged_at_end: bool = False
-    """Whether to check for the failure only when the phase is done."""
+    """Check for the failure only when the phase is done."""
     turn_speed: float = np.inf
     """Rotational speed of the target, if less than that of the script [rad/s]."""
 
@@ -75,7 +75,7 @@ class ScriptedArm:
         self.plan: Plan = {}
 
     def see(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Take the observation of a new step, and what the last action came to."""
+        """Take the observation of a new step, and the executed target of the last action."""
         own = observation if self.key is None else observation[self.key]
         self.before, self.observation = self.observation or own, own
         self.writer.follow(info, self.key)

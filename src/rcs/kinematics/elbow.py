@@ -1,7 +1,7 @@
-"""The elbow of an arm with seven joints: where it is, and how to move it while the TCP stays.
+"""The elbow of an arm with seven joints: its angle, and motions that keep the TCP in place.
 
 Such an arm reaches a pose in infinitely many ways; its elbow turns about the line from shoulder to wrist. The angle of
-the plane of shoulder, elbow and wrist tells them apart: Kreutz-Delgado, Long and Seraji, "Kinematic analysis of 7-DOF
+the plane of shoulder, elbow and wrist distinguishes them: Kreutz-Delgado, Long and Seraji, "Kinematic analysis of 7-DOF
 manipulators", 1992.
 """
 
@@ -18,11 +18,11 @@ JOINTS = 7
 STRIDE = 0.05
 """Change of the fastest joint between two corrections of the TCP [rad]: 1 mm off for an arm of 1 m."""
 STRIDES = 400
-"""Most strides of one call: a joint may turn by 20 rad."""
+"""Largest number of strides of a call: a joint may turn by 20 rad."""
 NEAR = 1e-4
-"""Nearness to a wanted angle that is near enough [rad]."""
+"""Tolerance of a wanted angle [rad]."""
 EXACT = IkOptions(restarts=0, translation_tolerance=1e-7, rotation_tolerance=1e-7, iterations=20)
-"""What brings the TCP back after a stride."""
+"""Solver options that bring the TCP back after a stride."""
 
 
 class Elbow:
@@ -32,8 +32,8 @@ class Elbow:
         """Use the kinematics of an arm.
 
         Args:
-            kinematics: Of an arm whose first three joints turn its shoulder, the fourth its elbow and the last three
-                its wrist.
+            kinematics: Kinematics of an arm whose first three joints turn its shoulder, the fourth its elbow and the
+                last three its wrist.
 
         Raises:
             InvalidSetup: The arm does not have seven joints.
@@ -99,7 +99,7 @@ class Elbow:
             target: TCP pose in the base frame.
             start: Joints to look from [rad], shape (7,).
             angle: The wanted angle of the elbow [rad].
-            options: For the pose.
+            options: Solver options for the pose.
 
         Returns:
             `ok`: the pose and the angle are met; `clamped`: the pose alone. Otherwise what the solver has found.

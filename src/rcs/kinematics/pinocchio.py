@@ -27,11 +27,11 @@ FOLLOWED = 0.2
 STANDSTILL = 1e-4
 """Largest change of a joint in an iteration that changes nothing that matters [rad]."""
 MORE_DAMPING = 8.0
-"""Factor of the damping after a step that came no nearer, when following."""
+"""Factor of the damping after a step without progress, when following."""
 FULFILLED = 0.25
 """Share of the promised decrease of the squared error that a step must bring, when following."""
 ASKED = 0.03, 10.0
-"""What a radian counts against a metre when following: what the target leaves as it is weighs more."""
+"""Weight of a radian against a metre when following: larger for the part that the target does not change."""
 LARGEST_RETURN = 0.5
 """Share of the way to the preferred joints per iteration, at most."""
 

@@ -188,9 +188,9 @@ class TimedPath:
 def minimum_jerk(fraction: ArrayLike) -> Rows:
     """Return the share of a path that is done after a fraction of its time, with the least jerk from rest to rest.
 
-    Of all such motions it has the least integral of the squared jerk; people move their hands so. Flash and Hogan, "The
-    coordination of arm movements", 1985. Its largest speed is 15/8 of the mean speed, its largest acceleration 10/√3 of
-    length over time squared.
+    It minimises the integral of the squared jerk, as human arms do. Flash and Hogan, "The coordination of arm
+    movements", 1985. Its largest speed is 15/8 of the mean speed, its largest acceleration 10/√3 of length over time
+    squared.
 
     Args:
         fraction: Fractions of the time, any shape; those below 0 and above 1 count as 0 and 1.

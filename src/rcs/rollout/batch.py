@@ -28,7 +28,7 @@ def run_batch(
     Args:
         envs: Copies, made with `autoreset="Disabled"`.
         agent: Takes observations of all copies, (copies, ...) per key, and returns actions of all; it remembers nothing
-            from step to step, and is told of the first starts only.
+            from step to step, and gets the first starts only.
         numbers: The episodes; one is taken when a copy is free.
         seed_of: Returns the seed of a number.
 
@@ -78,8 +78,8 @@ def _verdict(info: Mapping[str, Any], copy: int, was_touched: bool, agent: Agent
     end = str(info["end"][copy])
     if end in (FAULT, DIVERGED):
         return False, end
-    told = info.get("success")
-    success = None if told is None else bool(told[copy])
+    verdicts = info.get("success")
+    success = None if verdicts is None else bool(verdicts[copy])
     return success, (agent.failure or ("collision" if was_touched else "timeout")) if success is False else None
 
 

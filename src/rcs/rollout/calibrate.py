@@ -18,19 +18,19 @@ from rcs.setups.mounted_camera import MountedCamera
 from rcs.spatial import Intrinsics
 
 Confirm = Callable[[NDArray[np.float64], NDArray[np.float64]], bool]
-"""Asks a person whether the arm may go from joints to joints [rad]."""
+"""Asks the user whether the arm may move from joints to joints [rad]."""
 
 OnLook = Callable[[CalibrationStrategy, bool], None]
-"""Is told after every picture, with whether it is of use."""
+"""Called after every picture, with whether it is useful."""
 
 ARRIVED = 3e-3
 """Largest distance of a joint from its target at arrival [rad]."""
 STILL = 2e-4
 """Largest change of a joint per control step at rest [rad]."""
 SETTLING = 0.5
-"""How long a real arm is to be at rest before a picture counts: it swings a little longer than its joints turn [s]."""
+"""Time that a real arm rests before a picture counts: it swings a little longer than its joints turn [s]."""
 LONGEST = 30.0
-"""Time after which an arm that does not arrive has failed [s]."""
+"""Time limit of a motion [s]."""
 
 
 def calibrate(
@@ -48,16 +48,16 @@ def calibrate(
 
     Args:
         env: An environment with absolute joint targets that observes the camera; it is reset.
-        strategy: What to look at and where to go.
+        strategy: Judges pictures and proposes joints.
         camera: Name of the camera.
         robot: Name of the robot that moves; None for the one that carries the camera, or for the first.
         speed: Largest speed of a joint in real time [rad/s].
-        is_free: Whether the arm may go straight from joints to joints; None for anywhere.
-        confirm: Asked before every motion; None to go without.
-        on_look: Called after every picture, with whether it is of use.
+        is_free: Returns whether the arm may go straight from joints to joints; None for anywhere.
+        confirm: Called before every motion; None to move without confirmation.
+        on_look: Called after every picture, with whether it is useful.
 
     Raises:
-        InvalidSetup: The environment has other actions, the pictures cannot tell, or nowhere is to go.
+        InvalidSetup: The environment has other actions, or pictures or free joints do not suffice.
         WrongOrder: The arm does not arrive, or the episode ends.
     """
     look_around(env, strategy, camera, robot=robot, speed=speed, is_free=is_free, confirm=confirm, on_look=on_look)
@@ -75,9 +75,9 @@ def look_around(
     confirm: Confirm | None = None,
     on_look: OnLook | None = None,
 ) -> None:
-    """Show a strategy pictures, and go where it wants the next one from, until it wants no more.
+    """Show a strategy pictures from the joints that it asks for, until it needs no more.
 
-    Where `confirm` says no, the next best pose is proposed. Arguments and errors are those of `calibrate`.
+    If `confirm` returns False, the strategy proposes the next best pose. Arguments and errors are those of `calibrate`.
     """
     tour = Tour(env, robot=robot or MountedCamera.of(env.setup, camera).robot.name, speed=speed)
 
@@ -102,7 +102,7 @@ class Tour:
 
         Args:
             env: An environment with absolute joint targets.
-            robot: Name of the robot, where there are several.
+            robot: Name of the robot, if there are several.
             speed: Largest speed of a joint [rad/s].
 
         Raises:
@@ -125,7 +125,7 @@ class Tour:
 
     @property
     def joints(self) -> NDArray[np.float64]:
-        """Where the arm is [rad], (dof,)."""
+        """Present joints of the arm [rad], (dof,)."""
         return np.array(self._own[JOINTS], np.float64)
 
     @property
@@ -148,14 +148,14 @@ class Tour:
         return self.frame(camera)[RGB]
 
     def intrinsics(self, camera: str) -> Intrinsics:
-        """Return how a camera is said to see.
+        """Return the known intrinsics of a camera.
 
         Raises:
-            InvalidSetup: It is not observed, or nobody says.
+            InvalidSetup: It is not observed, or its intrinsics are unknown.
         """
         frame = self.frame(camera)
         if INTRINSICS not in frame:
-            raise InvalidSetup(f"Nobody says how camera {camera!r} sees; calibrate its intrinsics first.")
+            raise InvalidSetup(f"The intrinsics of camera {camera!r} are unknown; calibrate them first.")
         height, width = frame[RGB].shape[:2]
         return Intrinsics.of_matrix(frame[INTRINSICS], (width, height), frame.get(DISTORTION, ()))
 
@@ -163,7 +163,7 @@ class Tour:
         """Move the arm and wait until it has arrived and is at rest, and the cameras have new pictures.
 
         Args:
-            joints: Where to [rad], (dof,).
+            joints: Target [rad], (dof,).
 
         Raises:
             WrongOrder: It does not arrive, or the episode ends.

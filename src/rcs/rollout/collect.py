@@ -50,7 +50,7 @@ _MOST_PER_EPISODE = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Collection:
-    """What to collect."""
+    """The recipe of a dataset."""
 
     setup: Setup
     out: Path
@@ -58,7 +58,7 @@ class Collection:
     episodes: int
     """Number of episodes in the finished dataset; only those judged by the task count."""
     seed: int = 0
-    """Same seed, same data."""
+    """Random seed; the same seed gives the same data."""
     only_success: bool = False
     """Keep successful episodes only, and try until there are enough."""
     most_attempts: int | None = None
@@ -67,8 +67,8 @@ class Collection:
     workers: int = 1
     """Processes; one works in this process. With `ray`, 0 is one per CPU of the cluster."""
     ray: str | None = None
-    """Where the processes are: the address of a Ray cluster (`local` for one of this machine, `auto`, `host:port`), or
-    None for this machine, without Ray. Episodes travel through Ray; `out` need not be seen from other machines."""
+    """Address of a Ray cluster for the processes (`local` for one of this machine, `auto`, `host:port`); None for this
+    machine, without Ray. Ray transfers the episodes; other machines need not see `out`."""
     colour: Colour = "jpeg"
     """Encoding of colour frames."""
     jpeg_quality: int = 95
@@ -76,7 +76,7 @@ class Collection:
     agent: Any = None
     """An agent's class or name, `module:Class`; None for the expert of the task."""
     hardware: Any = None
-    """What is real, as in `rcs.make`; None for simulation alone. Real robots have one process, and an operator."""
+    """The real devices, as in `rcs.make`; None for simulation alone. Real robots have one process, and an operator."""
     home_speed: float = SPEED
     """Largest speed of a joint of real arms on their way home, as a share of its limit."""
 
@@ -138,7 +138,7 @@ class Progress:
     found: int = 0
     """Complete episodes at the start of this run."""
     again: int = 0
-    """Attempts cut short by a kill, which are made again from the start."""
+    """Attempts that a kill cut short and that are made again from the start."""
     attempts: list[Attempt] = field(default_factory=list[Attempt])
     """Attempts of this run, in the order of their ends."""
     cluster: ClusterUsage | None = None
@@ -219,16 +219,16 @@ def collect(
     resumable. On a cluster, closing the iterator drops the running episodes.
 
     Args:
-        collection: What to collect.
+        collection: The recipe.
         progress: Updated while it runs.
         env: An environment of the collection's setup to use in this process; None for a new one. It is closed at the
             end.
-        operator: Stands by real arms; None for the world of the virtual robot that is at their address, or else the
-            person at the terminal.
+        operator: Operator of real arms; None for the world of the virtual robot at their address, or the user at
+            the terminal.
 
     Raises:
         DeviceFault: A real device failed. The episode has no verdict, and is made again when the collection is resumed.
-        Refused: Nobody agrees that real arms go home.
+        Refused: The operator does not agree that real arms go home.
         DatasetError: The dataset cannot be written, is locked, or belongs to another setup.
         InvalidSetup: The setup is not valid.
         RcsError: Too many attempts were no success, a worker process died, or the cluster cannot be reached.

@@ -18,7 +18,7 @@ OPEN = 0.5
 """A gripper command of at least this opens."""
 
 Judge = Callable[[Observation, Mapping[str, Any]], bool | None]
-"""Judges the last observation and info: whether the task was done; None if that is not known."""
+"""Returns whether the task was done, by the last observation and info; None if that is not known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,13 +28,13 @@ class EpisodeResult:
     seed: int | None
     steps: int
     success: bool | None
-    """Whether the task was done; None without a verdict, as on devices or after a fault."""
+    """True if the task was done; None without a verdict, as on devices or after a fault."""
     failure: str | None
-    """Class of the failure, `fault` where a device failed, `diverged` where the simulation did; None otherwise."""
+    """Class of the failure: `fault` of a device, `diverged` of the simulation, or one of the agent; None otherwise."""
     reward: float
     """Sum over the episode."""
     message: str | None = None
-    """What the agent says has gone wrong, even if the task was done in the end; None if it says nothing."""
+    """The agent's message about a problem, even if the task was done in the end; None without one."""
 
     def outcome(self) -> dict[str, Any]:
         """Return the outcome to store, besides success and seed."""
@@ -53,18 +53,18 @@ def run_episode(
 ) -> EpisodeResult:
     """Run one episode.
 
-    When the agent, or Ctrl-C, breaks it off, all devices hold; real ones do at any other end, too.
+    If an error of the agent or Ctrl-C ends it, all devices hold; real ones hold at any other end, too.
 
     Args:
         env: The environment.
-        agent: Acts in it, until the end, or until its event `stop`, at which all devices hold. One that decides at a
-            lower rate than the environment has its last action repeated; what it notes is given to observers with the
+        agent: The agent, which acts until the end, or until its event `stop`, at which all devices hold. If it decides
+            at a lower rate than the environment, its last action is repeated; its notes are given to observers with the
             steps in which it decided.
-        seed: Of the reset.
-        options: Of the reset.
-        judge: Says whether the task was done, in the place of the task; not asked after a fault.
+        seed: Seed of the reset.
+        options: Options of the reset.
+        judge: Returns whether the task was done, in the place of the task; not called after a fault.
         on_step: Called after the reset and after every step.
-        max_steps: Most steps of the episode, besides the environment's limit; None for no limit.
+        max_steps: Largest number of steps, besides the environment's limit; None for no limit.
 
     Raises:
         InvalidSetup: The agent's rate does not divide the environment's, its repeated actions would add up, or
@@ -95,7 +95,7 @@ def run_episode(
         if on_step is not None:
             on_step()
     except BaseException:
-        env.hold()  # what was commanded last must not go on without anybody who looks
+        env.hold()  # the last command must not go on unsupervised
         raise
     is_simulated = set(env.platform.values()) == {"simulation"}
     if not is_simulated and info["end"] != FAULT:
@@ -106,8 +106,8 @@ def run_episode(
         return EpisodeResult(seed=seed, steps=steps, success=success, failure=FAULT, reward=total)
     if info["end"] == DIVERGED:
         return EpisodeResult(seed=seed, steps=steps, success=False, failure=DIVERGED, reward=total)
-    told = info.get("success")
-    success = judge(observation, info) if judge is not None else None if told is None else bool(told)
+    verdict = info.get("success")
+    success = judge(observation, info) if judge is not None else None if verdict is None else bool(verdict)
     failure = (agent.failure or ("collision" if was_touched_early else "timeout")) if success is False else None
     return EpisodeResult(
         seed=seed, steps=steps, success=success, failure=failure, reward=total, message=agent.failure_message

@@ -35,7 +35,7 @@ UNSEEN = 1 << 60
 
 @runtime_checkable
 class Named(Protocol):
-    """What makes agents and has a name of its own, such as the address of a policy."""
+    """A factory of agents with a name of its own, such as the address of a policy."""
 
     name: str
 
@@ -46,7 +46,7 @@ class Named(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """What to evaluate."""
+    """The recipe of an evaluation."""
 
     setup: Setup
     agent: Any = None
@@ -61,10 +61,10 @@ class Evaluation:
     workers: int = 1
     """Processes; one works in this process. With `ray`, 0 is one per CPU of the cluster."""
     ray: str | None = None
-    """Where the processes are: the address of a Ray cluster (`local` for one of this machine, `auto`, `host:port`), or
-    None for this machine, without Ray."""
+    """Address of a Ray cluster for the processes (`local` for one of this machine, `auto`, `host:port`); None for this
+    machine, without Ray."""
     videos: int = 0
-    """How many of the first episodes have a video, `<number>.mp4`."""
+    """Number of first episodes with a video, `<number>.mp4`."""
     out: Path = Path("evaluation")
     """Folder for videos and figures."""
 
@@ -95,14 +95,14 @@ class Evaluation:
 
 @dataclass(kw_only=True)
 class Summary:
-    """How the attempts of an evaluation, or of a collection, went."""
+    """Results of an evaluation or a collection."""
 
     attempts: list[Attempt] = field(default_factory=list[Attempt])
-    """In the order in which they ended."""
+    """Attempts in the order of their ends."""
     cluster: ClusterUsage | None = None
     """The workers; None without a cluster."""
     is_interrupted: bool = False
-    """Set it to end the evaluation after the episodes at work."""
+    """Set it to end the evaluation after the running episodes."""
 
     @property
     def results(self) -> list[EpisodeResult]:
@@ -121,7 +121,7 @@ class Summary:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The 95 % Wilson interval of the success rate, 0 … 1; all of it where nothing was judged."""
+        """The 95 % Wilson interval of the success rate, 0 … 1; all of it if nothing was judged."""
         return wilson_interval(self.successes, self.judged)
 
     @property
@@ -143,11 +143,11 @@ class Summary:
         }
 
     def write(self, evaluation: Evaluation, more: Mapping[str, Any] | None = None) -> Path:
-        """Write what was evaluated and the figures to `evaluation.json` in its folder, and return the file's path.
+        """Write recipe and figures to `evaluation.json` in the folder of an evaluation, and return the file's path.
 
         Args:
             evaluation: What was evaluated.
-            more: What else is to be in the file, as JSON values.
+            more: Further JSON values for the file.
         """
         about = {"setup": evaluation.setup.to_json(), "agent": evaluation.agent_name}
         about |= {"seed": evaluation.seed, "first_seed": evaluation.first_seed}
@@ -221,20 +221,21 @@ def evaluate(
     judge: Judge | None = None,
     recorder: Recorder | None = None,
 ) -> Iterator[Attempt]:
-    """Run the episodes and yield each as it ends.
+    """Run the episodes, and yield each as it ends.
 
-    Closing the iterator, or setting `summary.is_interrupted`, ends the evaluation after the episodes at work.
+    Closing the iterator, or setting `summary.is_interrupted`, ends the evaluation after the running episodes.
 
     Args:
         evaluation: Setup, agent and number of episodes; a setup or the name of a task for 50 episodes of its expert.
-        summary: Takes the attempts.
-        env: An environment of the evaluation's setup, simulated or real, to use in this process; made when not given.
-            It is closed in the end.
-        judge: Says whether an episode was a success, in the place of the task; all episodes are then in this process.
+        summary: Collects the attempts.
+        env: An environment of the evaluation's setup, simulated or real, to use in this process; None for a new one.
+            It is closed at the end.
+        judge: Returns whether an episode was a success, in the place of the task; all episodes are then in this
+            process.
         recorder: Records every episode; `env` is given too, and it is one of its observers.
 
     Raises:
-        InvalidSetup: The setup makes no sense, there is no such agent, or videos are asked of real devices alone.
+        InvalidSetup: The setup is not valid, there is no such agent, or real devices alone have no picture to film.
         RcsError: A worker process died, or the cluster cannot be reached.
     """
     if not isinstance(evaluation, Evaluation):

@@ -1,4 +1,4 @@
-"""Whether an arm may go straight from joints to joints in a simulated scene without coming near anything."""
+"""Checks that straight motions of an arm in a simulated scene keep a margin."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from rcs.envs.planner_for import planner_for
 MARGIN = 0.01
 """Least distance of the robot's shapes from all others [m]."""
 STEP, TURN = 0.002, 0.01
-"""Between two checks of what is near, no point of the robot moves by more than this, and nothing turns by more [m,
-rad]."""
+"""Largest motion of any point and largest rotation between two checks near obstacles [m, rad]."""
 ROUNDING = 1e-5
-"""By how much the distance to what is near at the start may shrink [m]."""
+"""Largest decrease of the distance to obstacles near the start [m]."""
 LOOKS = 20
-"""Places of a path that begins near something at which is looked whether it is still near."""
+"""Points of a path that starts near an obstacle at which to check whether it is still near."""
 
 
 class FreePath:

@@ -27,7 +27,7 @@ SIZE = (960, 720)
 """Size of a picture [px]."""
 JPEG_QUALITY = 92
 STEPS = 45
-"""How far an expert goes before the picture is taken: half way to the object."""
+"""Steps of the expert before the picture: half the motion to the object."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ def gallery(out: Path, *, seed: int = 0) -> Iterator[Shot]:
 
     Args:
         out: Folder for the pictures.
-        seed: Of the episodes shown.
+        seed: Seed of the episodes.
 
     Raises:
         DatasetError: The folder cannot be written.

@@ -1,4 +1,4 @@
-"""Who stands by real robots while episodes are collected: agrees to motions, places the objects, and judges."""
+"""Operators of real robots during a collection: they agree to motions, place the objects, and judge."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from rcs.spatial import Pose
 from rcs.virtual.control import running, tell
 from rcs.virtual.virtual_world import ABOUT, JUDGE, VERDICTS
 
-ENDED = "The input has ended, so nobody can be asked any more."
+ENDED = "The input has ended; run the command at a terminal."
 
 
 class Operator(ABC):
-    """Stands by real robots."""
+    """Supervises real robots."""
 
     @abstractmethod
     def may_move(self, question: str) -> bool:
@@ -32,10 +32,10 @@ class Operator(ABC):
 
     @abstractmethod
     def place(self, seed: int, poses: Mapping[str, NDArray[np.float64]]) -> None:
-        """Put the objects where they belong, and return when they lie there.
+        """Place the objects, and return when they are there.
 
         Args:
-            seed: Of the episode.
+            seed: Seed of the episode.
             poses: Poses by name, (7,) [m], xyzw, in the base frame; with several robots, in the scene.
         """
 
@@ -55,7 +55,7 @@ class TerminalOperator(Operator):
         """Ask before the first motion, and again after a fault.
 
         Args:
-            agrees: Whether the person has agreed to all motions, so that they are not asked.
+            agrees: Skip the questions, because the person has agreed to all motions.
         """
         self._always_agrees = self._agrees = agrees
 
@@ -65,7 +65,7 @@ class TerminalOperator(Operator):
         return self._agrees
 
     def place(self, seed: int, poses: Mapping[str, NDArray[np.float64]]) -> None:
-        """Say where every object is to lie, and wait."""
+        """Print the places of all objects, and wait."""
         if poses:
             places = "; ".join(f"the {name} at {_words(pose)}" for name, pose in poses.items())
             _input(f"Put {places}. Then press Enter: ")
@@ -84,16 +84,16 @@ class TerminalOperator(Operator):
 
 
 class VirtualOperator(Operator):
-    """Stands by a virtual robot, whose own world has the objects and knows how the task went."""
+    """Operates a virtual robot, whose own world has the objects and judges the task."""
 
     def __init__(self, name: str) -> None:
-        """Take the name of a virtual robot that runs."""
+        """Take the name of a running virtual robot."""
         self.name = name
         self._has_begun = False
 
     @staticmethod
     def of(site: Site, setup: Setup) -> VirtualOperator | None:
-        """Return who stands by the virtual robot of this machine that is at a site's addresses; None if there is none.
+        """Return the operator of the virtual robot of this machine at a site's addresses; None if there is none.
 
         Raises:
             InvalidSetup: Its scene is that of another task.
@@ -110,7 +110,7 @@ class VirtualOperator(Operator):
             if (theirs.task, theirs.task_options) != (setup.task, setup.task_options):
                 raise InvalidSetup(
                     f"The virtual robot {name!r} has the scene of {_task(theirs)}, not of {_task(setup)}; start it "
-                    "with --setup FILE, the JSON of the setup that is wanted."
+                    "with --setup FILE, the JSON of the wanted setup."
                 )
             return VirtualOperator(name)
         return None
@@ -120,7 +120,7 @@ class VirtualOperator(Operator):
         return True
 
     def place(self, seed: int, poses: Mapping[str, NDArray[np.float64]]) -> None:
-        """Have the objects lie where the seed has them."""
+        """Place the objects according to the seed."""
         self._has_begun = True
         tell(self.name, ("reset", str(seed)))
 
@@ -130,17 +130,17 @@ class VirtualOperator(Operator):
         return next(verdict for verdict, word in VERDICTS.items() if word == answer)
 
     def may_recover(self, faults: str) -> bool:
-        """Clear what was left from before; refuse from the first episode on, for a fault is worth a look."""
+        """Clear old faults; refuse from the first episode on, because a fault is worth a look."""
         return not self._has_begun
 
 
 def operator_of(setup: Setup, hardware: Any, *, agrees: bool = False) -> Operator:
-    """Return who stands by: the world of the virtual robot at a site's addresses, or else the person at the terminal.
+    """Return the operator: the world of the virtual robot at a site's addresses, or the user at the terminal.
 
     Args:
-        setup: What is done.
-        hardware: What is real, as in `rcs.make`.
-        agrees: Whether the person has agreed to all motions.
+        setup: The setup of the episodes.
+        hardware: The real devices, as in `rcs.make`.
+        agrees: Skip the questions, because the person has agreed to all motions.
 
     Raises:
         InvalidSetup: The virtual robot's scene is that of another task.

@@ -1,4 +1,4 @@
-"""The page about an evaluation of a policy: how often it succeeded, how it was executed, and every episode."""
+"""The page about an evaluation of a policy: success rate, execution, and every episode."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def write_policy_report(evaluation: Evaluation, summary: Summary, metadata: Meta
     """Write `evaluation.json` and `report.html` into the folder of an evaluation; return the page's path.
 
     Args:
-        evaluation: What was evaluated; its agent is a `ServedPolicy`.
-        summary: How it went.
-        metadata: Of the policy.
+        evaluation: The evaluation; its agent is a `ServedPolicy`.
+        summary: Its results.
+        metadata: Metadata of the policy.
 
     Raises:
         DatasetError: The page cannot be written.
@@ -44,12 +44,12 @@ def _page(evaluation: Evaluation, summary: Summary, metadata: Metadata, executio
     title = f"{metadata.name}: {setup.task} on {setup.robot_label}"
     low, high = (100 * bound for bound in summary.interval)
     rate = 100 * summary.successes / summary.judged if summary.judged else None
-    told = "not judged" if rate is None else f"{rate:.1f} %"
+    success = "not judged" if rate is None else f"{rate:.1f} %"
     about = {
         "Policy": metadata.name,
         "Address": evaluation.agent_name,
-        "Checkpoint": metadata.checkpoint or "not told",
-        "Hash": metadata.checkpoint_hash or "not told",
+        "Checkpoint": metadata.checkpoint or "unknown",
+        "Hash": metadata.checkpoint_hash or "unknown",
         "Action": ", ".join(f"{part.name} {part.meaning}" for part in metadata.action),
         "Rows of a chunk": f"{metadata.horizon}" + (f" at {metadata.rate:g} Hz" if metadata.rate else ""),
         "Loop": f"{setup.frequency:g} Hz, {'in real time' if setup.stepping == 'realtime' else 'in simulated time'}",
@@ -70,7 +70,7 @@ def _page(evaluation: Evaluation, summary: Summary, metadata: Metadata, executio
     result = element(
         "p",
         f"Success in {summary.successes} of {summary.judged} judged episodes: ",
-        element("b", told),
+        element("b", success),
         f" (95 % Wilson interval {low:.1f} to {high:.1f} %). Failures: {failures}.",
     )
     main = element(

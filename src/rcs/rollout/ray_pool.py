@@ -151,11 +151,11 @@ class RayPool(Closing):
 
 @dataclass(frozen=True)
 class _Source:
-    """What a process needs to make the worker of a pool."""
+    """The ingredients of a pool's worker, sent with every task."""
 
     pool: str
     path: list[str]
-    """Where modules may be imported from."""
+    """Folders of modules."""
     versions: dict[str, str]
     make: Any
     """Reference to the function that makes the worker."""

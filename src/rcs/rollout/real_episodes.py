@@ -1,7 +1,7 @@
-"""Episodes with real robots: where they begin, what an agent knows of the objects, and who judges.
+"""Episodes with real robots: their starts, the agent's knowledge of the objects, and the verdict.
 
 The objects lie where a simulated scene of the same setup has them at the episode's seed. Nothing is simulated after
-that: the agent is told where they were at the start.
+that: the agent gets their poses at the start.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
 
 HOLDING = 1.0
-"""How long a script holds what it has done, where its task does not say so [s]."""
+"""Time that a script holds its last goal if its task has no hold time [s]."""
 MORE = 0.5
-"""How much longer it does [s]: a verdict looks once per step, and objects settle."""
+"""Additional time [s]: a verdict looks once per step, and objects settle."""
 
 
 class RealEpisodes:
@@ -43,8 +43,8 @@ class RealEpisodes:
 
         Args:
             env: The environment.
-            agent: Acts in it.
-            operator: Stands by.
+            agent: The agent.
+            operator: Agrees to motions, places the objects and judges.
             speed: Largest speed of a joint on its way home, as a share of its limit.
         """
         self._env, self._operator, self._speed = env, operator, speed
@@ -52,14 +52,14 @@ class RealEpisodes:
         holding = float(getattr(self._scene.task.options, "hold_time", HOLDING)) + MORE
         self._agent = _Informed(agent, holding)
         self.objects: dict[str, list[float]] = {}
-        """Where objects are at the start of the present episode, for its outcome."""
+        """Poses of the objects at the start of the present episode, for its outcome."""
 
     def prepare(self, seed: int) -> None:
-        """Have the arms go home and open their grippers, then the objects placed.
+        """Move the arms home, open their grippers, and let the operator place the objects.
 
         Raises:
-            Refused: Nobody agrees that the arms move.
-            DeviceFault: A device is in its fault state, and nobody agrees that it leaves it.
+            Refused: The operator does not agree that the arms move.
+            DeviceFault: A device is in its fault state, and the operator does not agree to clear it.
         """
         self._scene.begin(EpisodeRandom(np.asarray(seed), np.asarray(0)))
         poses = self._scene.object_poses()
@@ -90,12 +90,12 @@ class RealEpisodes:
                 self._env.recover()
 
     def close(self) -> None:
-        """Let go of the simulated scene."""
+        """Close the simulated scene."""
         self._scene.world.close()
 
 
 class _Informed(Agent):
-    """An agent that knows where the objects were at the start, and of a script, when it is over."""
+    """An agent with the objects' poses at the start; a script also stops when it is over."""
 
     def __init__(self, agent: Agent, holding: float) -> None:
         self._agent, self._holding = agent, holding

@@ -113,7 +113,7 @@ class Intrinsics(Record):
 
     @property
     def is_distorted(self) -> bool:
-        """Whether any coefficient is not zero."""
+        """True if any coefficient is not zero."""
         return any(self.distortion)
 
     def cut(self, size: tuple[int, int]) -> Intrinsics:

@@ -68,11 +68,11 @@ class Guide:
         base = robot.base_in_scene
         self._base = np.array([*base.translation, *base.quaternion])
         self.has_opening = robot.end_effector is not None
-        """Whether there is a gripper or a hand to open and close."""
+        """True if there is a gripper or a hand to open and close."""
         self.opening = 1.0
         """Wanted opening, 0 closed … 1 open."""
         self.is_out_of_reach = False
-        """Whether the arm cannot get to the wanted pose."""
+        """True if the arm cannot get to the wanted pose."""
         self._measured: Observation = {}
         self._goal = self._target = np.zeros(7)
         self._joint_goal: NDArray[np.float64] | None = None
@@ -141,7 +141,7 @@ class Guide:
 
         Args:
             observation: The present one, of the whole environment.
-            info: Of the last step.
+            info: Info of the last step.
         """
         self.see(observation)
         self._writer.follow(info, self._key)
