@@ -17,7 +17,8 @@ from vlagents.policies.scripted import ScriptedPolicy
 
 import rcs
 from rcs.envs import Env
-from rcs.envs.observers.recorder import Recorder, dataset_info
+from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup, RcsError
 from rcs.policy import NOTES, ChunkAgent, Execution, ServedPolicy, offer_of
 from rcs.rollout import run_episode

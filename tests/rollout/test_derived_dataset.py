@@ -12,7 +12,7 @@ from rcs_data import Dataset
 from rcs_data.edit import Part, mix
 
 import rcs
-from rcs.envs.by_robot import by_robot, joined, prefixes
+from rcs.envs.spaces import join_robots, robot_prefixes, split_by_robot
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.real_to_sim import real_to_sim
@@ -93,7 +93,7 @@ def test_only_frames_that_are_due_are_drawn(dataset: Path, tmp_path: Path, monke
 
 def test_values_by_robot_are_joined_to_what_they_were() -> None:
     one, two = {"joints": 1}, {"left": {"joints": 1}, "right": {"joints": 2}}
-    assert joined(by_robot(["fr3"], one)) == one
-    assert joined(by_robot(["left", "right"], {**two, "frames": 3})) == two
-    assert prefixes(["fr3"]) == {"fr3": ""}
-    assert prefixes(["left", "right"]) == {"left": "left/", "right": "right/"}
+    assert join_robots(split_by_robot(["fr3"], one)) == one
+    assert join_robots(split_by_robot(["left", "right"], {**two, "frames": 3})) == two
+    assert robot_prefixes(["fr3"]) == {"fr3": ""}
+    assert robot_prefixes(["left", "right"]) == {"left": "left/", "right": "right/"}

@@ -9,7 +9,8 @@ from rcs_data import Dataset, DatasetWriter
 
 import rcs
 from rcs.agents import Agent
-from rcs.envs.observers.recorder import Recorder, dataset_info
+from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup
 from rcs.rollout.episode import run_episode
 

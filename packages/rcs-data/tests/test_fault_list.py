@@ -43,7 +43,8 @@ from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.journal import line_of
 
 import rcs
-from rcs.envs.observers.recorder import Recorder, dataset_info
+from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.recorder import Recorder
 
 if TYPE_CHECKING:
     from conftest import MakeInfo, MakeRows, Record

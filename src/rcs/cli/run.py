@@ -16,7 +16,8 @@ from rich.console import Console
 
 from rcs.cli.runs import evaluation_folder, interruptible, results_table, show
 from rcs.cli.setup_options import SetupOptions
-from rcs.envs.observers.recorder import Recorder, dataset_info
+from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.policy import NOTES, Execution, Mode, ServedPolicy, fitted

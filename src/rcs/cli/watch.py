@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from rcs.envs.observers.show import Show
+from rcs.envs.observer import Show
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.setups.make import make
 from rcs.sim.viewer import Viewer

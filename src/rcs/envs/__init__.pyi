@@ -7,11 +7,11 @@ from rcs.envs.layers.layer import CopyIndex as CopyIndex
 from rcs.envs.layers.layer import Layer as Layer
 from rcs.envs.limits import Limits as Limits
 from rcs.envs.observer import Observer as Observer
+from rcs.envs.observer import Show as Show
 from rcs.envs.observer import Transition as Transition
+from rcs.envs.observers.dataset_info import dataset_info as dataset_info
 from rcs.envs.observers.in_background import InBackground as InBackground
 from rcs.envs.observers.recorder import Recorder as Recorder
-from rcs.envs.observers.recorder import dataset_info as dataset_info
-from rcs.envs.observers.show import Show as Show
 from rcs.envs.observers.takes import Takes as Takes
 from rcs.envs.observers.twin import Alarm as Alarm
 from rcs.envs.observers.twin import Comparison as Comparison

@@ -1,16 +1,19 @@
-"""The interface of an observer."""
+"""The interface of an observer, and one that shows every step in a viewer."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.spaces import Arrays, Observation
+
+if TYPE_CHECKING:  # datasets are read without the simulator
+    from rcs.sim.viewer import Viewer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,3 +74,19 @@ class Observer(ABC):
 
     def close(self) -> None:  # noqa: B027  most observers hold nothing
         """Release all resources; closing twice is harmless."""
+
+
+class Show(Observer):
+    """Brings a viewer up to date after every step."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        """Use an open viewer; it stays open when the environment is closed."""
+        self._viewer = viewer
+
+    def on_reset(self, first: Transition, seed: int | None) -> None:
+        """Show the start."""
+        self._viewer.sync()
+
+    def on_step(self, transition: Transition) -> None:
+        """Show the step."""
+        self._viewer.sync()

@@ -31,7 +31,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -334,3 +334,20 @@ def _describe_value(key: str, array: NDArray[Any], box: spaces.Box) -> str:
         f"Action {key!r}[{where}] is {array[index]}; valid is {box.low[inner]:.6g} to {box.high[inner]:.6g}. "
         "Nothing was sent to the device."
     )
+
+
+def split_by_robot(names: Iterable[str], value: Any) -> dict[str, Any]:
+    """Return the parts of an observation, an action or a space of an environment, by the names of its robots."""
+    known = list(names)
+    return {known[0]: value} if len(known) == 1 else {name: value[name] for name in known}
+
+
+def join_robots(parts: Mapping[str, Any]) -> Any:
+    """Return the parts by robot in the form of an environment; the inverse of `split_by_robot`."""
+    return next(iter(parts.values())) if len(parts) == 1 else dict(parts)
+
+
+def robot_prefixes(names: Iterable[str]) -> dict[str, str]:
+    """Return the prefix of the keys of each robot in a dataset: empty for a single robot."""
+    known = list(names)
+    return {known[0]: ""} if len(known) == 1 else {name: f"{name}/" for name in known}

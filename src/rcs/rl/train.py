@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from rcs.envs.observers.recorder import versions
+from rcs.envs.observers.dataset_info import versions
 from rcs.envs.step.stack import for_all
 from rcs.envs.vector import VecEnv
 from rcs.errors import CorruptCheckpoint, InvalidSetup

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.calibration import CalibrationStrategy, HandEye, IsFree
-from rcs.envs.by_robot import by_robot, joined
 from rcs.envs.env import Env
-from rcs.envs.spaces import DISTORTION, FRAMES, INTRINSICS, JOINTS, RGB, Observation
+from rcs.envs.spaces import DISTORTION, FRAMES, INTRINSICS, JOINTS, RGB, Observation, join_robots, split_by_robot
 from rcs.errors import InvalidSetup, WrongOrder
 from rcs.setups.mounted_camera import MountedCamera
 from rcs.spatial import Intrinsics
@@ -130,7 +129,7 @@ class Tour:
 
     @property
     def _own(self) -> dict[str, Any]:
-        return by_robot(self._env.robots, self._observation)[self._robot]
+        return split_by_robot(self._env.robots, self._observation)[self._robot]
 
     def frame(self, camera: str) -> dict[str, NDArray[Any]]:
         """Return the last frame of a camera.
@@ -200,13 +199,13 @@ class Tour:
         return rest > 0 and all(float(age) < rest for key, age in ages.items() if key.startswith(FRAMES))
 
     def _step(self, target: NDArray[np.float64]) -> None:
-        spaces = by_robot(self._env.robots, self._env.action_space)
+        spaces = split_by_robot(self._env.robots, self._env.action_space)
         actions = {
             name: {key: np.array(part[key]) for key in spaces[name]}  # where they are
-            for name, part in by_robot(self._env.robots, self._observation).items()
+            for name, part in split_by_robot(self._env.robots, self._observation).items()
         }
         actions[self._robot][JOINTS] = target
-        self._observation, _, terminated, truncated, self._info = self._env.step(joined(actions))
+        self._observation, _, terminated, truncated, self._info = self._env.step(join_robots(actions))
         if terminated or truncated:
             why = f"{self._info.get('end')} {self._info.get('faults', '')}".rstrip()
             raise WrongOrder(f"The episode ended on the way: {why}")

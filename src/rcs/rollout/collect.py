@@ -23,8 +23,9 @@ from rcs_data.layout import EPISODES_FOLDER
 from rcs.agents import agent_for
 from rcs.devices import lookup
 from rcs.envs.env import Env
+from rcs.envs.observers.dataset_info import OBJECTS, dataset_info, require_recordable
 from rcs.envs.observers.record import recorder_of
-from rcs.envs.observers.recorder import OBJECTS, Recorder, dataset_info, require_recordable
+from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.envs.step.approach import SPEED
 from rcs.envs.step.judge import FAULT

@@ -16,7 +16,8 @@ from rcs_data.verdicts import wilson_interval
 from rcs.agents import Agent, agent_for
 from rcs.devices import lookup
 from rcs.envs.env import Env
-from rcs.envs.observers.recorder import Recorder, versions
+from rcs.envs.observers.dataset_info import versions
+from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.envs.step.stack import for_all
 from rcs.errors import InvalidSetup

@@ -21,7 +21,7 @@ from typing import Any
 
 from rcs_data.closing import Closing
 
-from rcs.envs.observers.recorder import versions
+from rcs.envs.observers.dataset_info import versions
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.cluster import LOCAL, connected
 from rcs.rollout.pool import Worker

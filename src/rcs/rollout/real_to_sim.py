@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from rcs_data import Dataset, EpisodeRecord
 
-from rcs.envs.observers.recorder import OBJECTS, require_recordable
+from rcs.envs.observers.dataset_info import OBJECTS, require_recordable
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.rollout.derived_dataset import Derivation, EpisodeMaker, derive

@@ -11,9 +11,8 @@ from rcs_data import DatasetInfo, EpisodeRecord
 
 from rcs.agents import Agent
 from rcs.envs import spaces as keys
-from rcs.envs.by_robot import by_robot, joined, prefixes
-from rcs.envs.observers.recorder import OBSERVATION
-from rcs.envs.spaces import Action, Observation
+from rcs.envs.observers.dataset_info import OBSERVATION
+from rcs.envs.spaces import Action, Observation, join_robots, robot_prefixes, split_by_robot
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 
@@ -64,7 +63,7 @@ class RecordedMotion(Agent):
         self._times: NDArray[np.float64] = np.arange(episode.length) / episode.info.frequency
         self._frequency = frequency
         self._steps = 0
-        before = prefixes(robot.placement.name for robot in robots)
+        before = robot_prefixes(robot.placement.name for robot in robots)
         self._robots = {
             name: _Robot(values, robot, f"{OBSERVATION}/{prefix}", is_binary)
             for robot, (name, prefix) in zip(robots, before.items(), strict=True)
@@ -77,7 +76,7 @@ class RecordedMotion(Agent):
 
     def start(self) -> dict[str, Any]:
         """Return the state of the robots at the start, for `Env.reset`."""
-        return joined({name: robot.start for name, robot in self._robots.items()})
+        return join_robots({name: robot.start for name, robot in self._robots.items()})
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Go back to the start."""
@@ -91,13 +90,13 @@ class RecordedMotion(Agent):
         """
         self._steps += 1
         time = self._steps / self._frequency
-        return joined({name: robot.action(time, self._times) for name, robot in self._robots.items()})
+        return join_robots({name: robot.action(time, self._times) for name, robot in self._robots.items()})
 
     def error(self, observation: Observation, time: float) -> float:
         """Return the largest distance of a joint from its recorded position at a time since the start [rad]."""
         errors = [
             np.abs(part[keys.JOINTS] - _interpolated(self._robots[name].joints, time, self._times)).max()
-            for name, part in by_robot(self._robots, observation).items()
+            for name, part in split_by_robot(self._robots, observation).items()
         ]
         return float(max(errors))
 
@@ -147,7 +146,7 @@ def find_states(
     """
     sizes: dict[str, int] = {}
     apart: dict[str, int] = {}  # never joined to the others
-    before = prefixes(robot.placement.name for robot in robots).values()
+    before = robot_prefixes(robot.placement.name for robot in robots).values()
     for placement, prefix in zip([robot.placement for robot in robots], before, strict=True):
         sizes[f"{OBSERVATION}/{prefix}{keys.JOINTS}"] = len(placement.arm.joints)
         if placement.gripper is not None:

@@ -13,7 +13,7 @@ from rcs_data import Dataset, EpisodeRecord
 
 from rcs.agents import Replay
 from rcs.envs.env import Env
-from rcs.envs.observers.recorder import ACTION
+from rcs.envs.observers.dataset_info import ACTION
 from rcs.rollout.derived_dataset import Derivation, EpisodeMaker, derive
 from rcs.rollout.recorded_setup import physics_of, require_rate, require_states, setup_of
 from rcs.rollout.replay import recorded

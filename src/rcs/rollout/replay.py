@@ -14,7 +14,7 @@ from rcs_data import Dataset, EpisodeRecord
 from rcs.agents import Agent, Replay
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
-from rcs.envs.observers.recorder import ACTION
+from rcs.envs.observers.dataset_info import ACTION
 from rcs.envs.spaces import Observation
 from rcs.errors import InvalidSetup
 from rcs.rollout.recorded_setup import physics_of, require_rate, require_states

@@ -13,7 +13,7 @@ from rcs_data.feature import Colour
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.observers.recorder import dataset_info
+from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.parts import Parts
 from rcs.envs.setup import Setup
 from rcs.envs.variation.randomiser import Randomiser

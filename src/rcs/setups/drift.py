@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.calibration.drift import Drift
-from rcs.envs.by_robot import by_robot
 from rcs.envs.env import Env
 from rcs.envs.observers.drift_check import DriftCheck
-from rcs.envs.spaces import JOINTS, Observation
+from rcs.envs.spaces import JOINTS, Observation, split_by_robot
 from rcs.envs.start import base_in_scene
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.kinematics import kinematics_of
@@ -65,7 +64,7 @@ def drift_check(
         board_in_flange = robot.end_effector.mount_in_flange.pose * known.mount.pose
 
         def on_gripper(observation: Observation) -> NDArray[np.float64]:
-            joints = by_robot(env.robots, observation)[robot.name][JOINTS]
+            joints = split_by_robot(env.robots, observation)[robot.name][JOINTS]
             return (base * kinematics.forward(np.ascontiguousarray(joints)) * board_in_flange).matrix
 
         place = on_gripper

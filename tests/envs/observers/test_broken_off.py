@@ -13,7 +13,8 @@ from rcs_data import Dataset, DatasetWriter, check
 
 import rcs
 from rcs.envs.observer import Observer, Transition
-from rcs.envs.observers.recorder import Recorder, dataset_info
+from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.recorder import Recorder
 from rcs.envs.observers.takes import Takes
 from rcs.errors import DatasetError
 

@@ -11,7 +11,8 @@ from rcs_data.flags import FrameFlag
 
 import rcs
 from rcs.envs.observer import Transition
-from rcs.envs.observers.recorder import Recorder, dataset_info
+from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.recorder import Recorder
 
 RGB = "observation/frames/wrist/rgb"
 INFO = DatasetInfo(

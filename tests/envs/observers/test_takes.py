@@ -9,7 +9,8 @@ from rcs_data import Dataset, DatasetWriter
 
 import rcs
 from rcs.envs.env import Env
-from rcs.envs.observers.recorder import Recorder, dataset_info
+from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.recorder import Recorder
 from rcs.envs.observers.takes import Takes
 from rcs.errors import WrongOrder
 

@@ -11,7 +11,8 @@ from rcs_data import DatasetWriter
 from rcs_data.flags import FrameFlag
 
 import rcs
-from rcs.envs.observers.recorder import Recorder, dataset_info
+from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.recorder import Recorder
 from rcs.envs.ports.simulated_cameras import SimCameraPort
 from rcs.testing.env_contract import require_same_bits
 

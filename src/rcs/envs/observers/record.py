@@ -11,7 +11,8 @@ from rcs_data import Dataset, DatasetWriter
 from rcs_data.feature import Colour
 
 from rcs.envs.env import Env
-from rcs.envs.observers.recorder import Recorder, dataset_info
+from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.recorder import Recorder
 from rcs.envs.observers.takes import Takes
 from rcs.envs.step.stack import for_all
 from rcs.envs.vector import VecEnv

@@ -1,8 +1,7 @@
 from __future__ import annotations
 
 import rcs
-from rcs.envs.observers.joint_limits import limits_of
-from rcs.envs.observers.recorder import dataset_info
+from rcs.envs.observers.dataset_info import dataset_info, limits_of
 from rcs.robots.fr3.description import FR3
 
 

@@ -1,0 +1,167 @@
+"""The description of a dataset for the episodes of an environment."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from gymnasium import spaces
+from rcs_data import DatasetInfo, Encoding, Feature, JointBounds
+from rcs_data.feature import Colour
+from rcs_data.flags import flags_key
+
+from rcs.devices import lookup
+from rcs.envs import spaces as keys
+from rcs.envs.env import Env
+from rcs.envs.setup import Setup
+from rcs.envs.vector import VecEnv
+from rcs.errors import InvalidSetup
+from rcs.robots.description import ArmDescription
+
+OBSERVATION, ACTION, EXECUTED, NOTES = "observation", "action", "executed", "notes"
+TIME_MONOTONIC, TIME_PERIOD = "time/monotonic", "time/period"
+SIMULATED_TIME = "simulated_time"
+OBJECTS = "objects"
+"""Key of an outcome: where the task's objects were at the start, by name, translation [m] and quaternion xyzw in the
+base frame (of several robots: in the scene). Real recordings that have it can be replayed in simulation."""
+
+_FRAMES = f"{keys.FRAMES}/"
+
+
+def dataset_info(
+    env: Env | VecEnv,
+    *,
+    instruction: str | None = None,
+    colour: Colour = "jpeg",
+    jpeg_quality: int = 95,
+    notes: Sequence[str] = (),
+) -> DatasetInfo:
+    """Return the info of a dataset of an environment's episodes.
+
+    Args:
+        env: The environment, or a batch of copies of one.
+        instruction: What the robot is asked to do; None for the environment's instruction.
+        colour: Encoding of colour frames; docs/data.md compares sizes and quality. Videos are made when an episode is
+            finished.
+        jpeg_quality: JPEG quality of colour frames, 1 to 100.
+        notes: Names of numbers that `env.note` may give beside a step, recorded as `notes/name`; NaN where it did not.
+
+    Raises:
+        InvalidSetup: Steps of the environment have no fixed rate.
+    """
+    setup = env.setup if isinstance(env, VecEnv) or env.has_setup else None
+    if setup is not None:
+        require_recordable(setup)
+    features = _features(OBSERVATION, env.stack.observation_space.spaces, colour)
+    features = with_limits(features, None if setup is None else setup.robot)
+    features += _features(ACTION, env.stack.action_space.spaces, colour)
+    features += _features(EXECUTED, env.stack.executed_spaces, colour)
+    features += [
+        Feature(key="reward", shape=(), dtype="float64"),
+        Feature(key="terminated", shape=(), dtype="bool"),
+        Feature(key="truncated", shape=(), dtype="bool"),
+        Feature(key=TIME_MONOTONIC, shape=(), dtype="float64", unit="s"),
+        Feature(key=TIME_PERIOD, shape=(), dtype="float64", unit="s"),
+    ]
+    simulated = env.simulation if isinstance(env, VecEnv) or env.is_simulated else None
+    if simulated is not None:
+        features.append(Feature(key=SIMULATED_TIME, shape=(), dtype="float64", unit="s"))
+    features += [Feature(key=f"time/{key}", shape=(), dtype="float64", unit="s") for key in env.stack.timed]
+    sensors = [name for key in env.stack.timed if (name := camera_of_time(key)) is not None]
+    features += [Feature(key=flags_key(name), shape=(), dtype="uint8") for name in sensors]
+    features += [Feature(key=f"{NOTES}/{name}", shape=(), dtype="float64") for name in notes]
+    return DatasetInfo(
+        frequency=env.frequency,
+        features=tuple(features),
+        setup={} if setup is None else setup.to_json(),
+        instruction=env.instruction if instruction is None else instruction,
+        jpeg_quality=jpeg_quality,
+        sim_state_size=None if simulated is None else simulated.world.core.state_size,
+        versions=versions(),
+        origin={"platform": dict(env.platform), **env.stack.about},
+    )
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the software that makes the data."""
+    packages = ("robot-control-stack", "rcs-data", "mujoco-core", "numpy", "gymnasium", "pyarrow", "simplejpeg")
+    return {"python": platform.python_version(), **{name: importlib.metadata.version(name) for name in packages}}
+
+
+def camera_of_time(key: str) -> str | None:
+    """Return the camera of a capture time; None for that of another device."""
+    return key.removeprefix(_FRAMES) if key.startswith(_FRAMES) else None
+
+
+def _features(prefix: str, entries: Mapping[str, spaces.Space[Any]], colour: Colour) -> list[Feature]:
+    """Return a feature per array, with `/` between the levels of nested spaces."""
+    features: list[Feature] = []
+    for key, space in entries.items():
+        if is_derived(prefix, key):
+            continue
+        if isinstance(space, spaces.Dict):
+            features += _features(f"{prefix}/{key}", space.spaces, colour)
+            continue
+        assert isinstance(space, spaces.Box)
+        # A camera on a table has the same matrices in every row, one on a wrist has not.
+        encodings: dict[str, Encoding] = {
+            keys.RGB: colour, keys.DEPTH: "depth", keys.SEGMENTATION: "labels", keys.GEOMS: "labels",
+            keys.INTRINSICS: "held", keys.DISTORTION: "held", keys.EXTRINSICS: "held",
+        }  # fmt: skip
+        encoding = encodings.get(key, "plain")
+        unit = keys.UNITS.get(key, "")
+        features.append(
+            Feature(key=f"{prefix}/{key}", shape=space.shape, dtype=str(space.dtype), unit=unit, encoding=encoding)
+        )
+    return features
+
+
+def with_limits(features: Sequence[Feature], robot: str | Mapping[str, str] | None) -> list[Feature]:
+    """Return features of observations, with the limits of each arm's joints at those that are joint positions.
+
+    Args:
+        features: Features of observations.
+        robot: The robot of the setup: an arm, a lab, or arms by name; None where there is no setup.
+    """
+    arms = {} if robot is None else _arms_of(robot)
+    limits = {f"observation/{name}/joints".replace("//", "/"): limits_of(arm) for name, arm in arms.items()}
+    return [replace(feature, limits=limits.get(feature.key)) for feature in features]
+
+
+def limits_of(arm: ArmDescription) -> JointBounds:
+    """Return the limits of an arm's joints as a dataset has them."""
+    return JointBounds(
+        arm=arm.label, names=arm.joints, lower=arm.joint_lower, upper=arm.joint_upper, velocity=arm.velocity_limit
+    )
+
+
+def _arms_of(robot: str | Mapping[str, str]) -> dict[str, ArmDescription]:
+    """Return the arms of a robot by their names in keys; a single arm has the empty name."""
+    if isinstance(robot, str):
+        if robot in lookup.names("arm"):
+            return {"": lookup.find("arm", robot)}
+        found = lookup.find("lab", robot)
+        robot = {stand.name: stand.arm for stand in getattr(found, "stands", ())}
+        if not robot:
+            return {"": found}
+    return {"" if len(robot) == 1 else name: lookup.find("arm", arm) for name, arm in robot.items()}
+
+
+def is_derived(prefix: str, key: str) -> bool:
+    """Return whether a value is left out: points follow from depth and matrices, and are several times as large."""
+    return key == keys.POINTS and prefix.startswith(f"{OBSERVATION}/{_FRAMES}")
+
+
+def require_recordable(setup: Setup) -> None:
+    """Check that a setup can be recorded.
+
+    Raises:
+        InvalidSetup: Its control mode has no fixed rate.
+    """
+    if setup.stepping == "sync":
+        raise InvalidSetup(
+            "A dataset has a fixed rate; synchronous steps have none. Use stepping='async' or 'realtime'."
+        )
