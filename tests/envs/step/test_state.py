@@ -238,7 +238,7 @@ def test_a_hold_before_the_state_was_read_counts() -> None:
 @pytest.mark.gl
 def test_frames_that_are_shown_again_are_part_of_a_state() -> None:
     setup = Setup(
-        task="PickCuboid", cameras=rcs.Cameras(names=("side", "wrist"), fps=(("side", 6.0),), image_size=(32, 24))
+        task="PickCuboid", cameras=rcs.Cameras(names=("side", "wrist"), fps={"side": 6.0}, image_size=(32, 24))
     )
     one, other = rcs.make(setup), rcs.make(setup)
     one.reset(seed=0)
