@@ -285,7 +285,7 @@ def task_page(name: str) -> str:
     robots = robots_of(name)
     first = robots[0]
     done, *more = paragraphs(kind)
-    reward = [text for text in more if text.startswith("Progress,")] or [NO_REWARD]
+    reward = [text for text in more if text.startswith(("Progress", "The reward"))] or [NO_REWARD]
     parts = [NOTE, f"# {name}\n", figure(f"{slug(name)}_{first}", f"The expert of {name} on {first}"), done + "\n"]
     parts += [text + "\n" for text in more if text not in reward]
     facts = [("instruction", f"“{kind.instruction}”")] if kind.instruction else []
