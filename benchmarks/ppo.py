@@ -22,7 +22,7 @@ import tyro
 import rcs
 from rcs.rl import Sb3VecEnv, recipe_for
 from rcs.rl.sb3_learner import Sb3Learner
-from rcs.rl.threads import cpus, fastest_threads
+from rcs.rl.train import cpus
 
 
 @dataclass(kw_only=True)
@@ -37,6 +37,8 @@ class Options:
     """Decisions per second [Hz]; None for the recipe's. Lower rates mean more physics per step."""
     threads: int = 0
     """Threads of the physics; 0 for one per CPU."""
+    torch_threads: int = 1
+    """Threads of torch."""
     rounds: int = 7
     """Number of measured updates."""
 
@@ -66,8 +68,7 @@ def main(options: Options) -> None:
     threads = options.threads or cpus()
     envs = rcs.make_vec(recipe.setup, copies=recipe.copies, threads=threads, autoreset="SameStep")
     timed = TimedEnvs(envs)
-    chosen = next(iter(fastest_threads(recipe, timed.flat)))
-    torch.set_num_threads(chosen)
+    torch.set_num_threads(options.torch_threads)
     learner = Sb3Learner(recipe, timed)
     learner.advance()  # the first one has work of its own
     whole, inside, without = [], [], []
@@ -94,7 +95,7 @@ def main(options: Options) -> None:
                 "copies": recipe.copies,
                 "control_hz": recipe.setup.frequency,
                 "physics_threads": threads,
-                "torch_threads": chosen,
+                "torch_threads": options.torch_threads,
             }
         )
     )

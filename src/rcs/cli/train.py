@@ -85,7 +85,7 @@ class TrainCommand:
     threads: int = 0
     """Threads for physics and drawing; 0 for one per CPU. They change no result."""
     torch_threads: int = 0
-    """Threads of torch on the CPU; 0 to measure which number is fastest."""
+    """Threads of torch on the CPU; 0 for one, or for one per CPU with cameras."""
     trust: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[MODULE ...]")] = ()
     """Modules of which the environment of `--resume` may have classes; importing them runs their code."""
     policy: LerobotPolicy | None = None

@@ -18,7 +18,7 @@ from rcs.cli.runs import interruptible
 from rcs.rl.metrics import METRICS, RATE
 from rcs.rl.report import write_report
 from rcs.rl.seeds import Trained, run_of, train_seeds
-from rcs.rl.threads import cpus as own_cpus
+from rcs.rl.train import cpus as own_cpus
 from rcs.rl.training import Training
 from rcs.rollout.cluster import LOCAL
 

@@ -1,4 +1,4 @@
-"""Policies that run elsewhere, as agents: what they are shown, and how their chunks of actions are executed."""
+"""Policies that run elsewhere, as agents: their observations, and the execution of their chunks of actions."""
 
 from rcs_data.lazy import load_on_use
 

@@ -45,14 +45,14 @@ class PolicyActions:
         self._is_absolute = env.setup.relative == "absolute"
         self._rate, self._horizon, self._size = metadata.rate, metadata.horizon, metadata.size
         self.is_clipped = False
-        """Whether the policy wanted more than the environment takes, in the last action."""
+        """True if the last action of the policy was beyond the bounds of the environment."""
         self._held: dict[str, Array] = {}
         self._grips: dict[str, Array] = {}
         self._was_moved = False
 
     @property
     def is_held(self) -> bool:
-        """Whether the robot holds now."""
+        """True while the robot holds."""
         return bool(self._held)
 
     def reset(self, observation: Observation) -> None:

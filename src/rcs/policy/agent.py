@@ -32,7 +32,7 @@ LOST = "policy"
 """The class of a failure in which the policy, or the connection to it, failed."""
 
 WAIT = 5.0
-"""How long an episode waits at its beginning for a policy that cannot be reached [s], by the clock."""
+"""Longest wait for an unreachable policy at the beginning of an episode [s], by the clock."""
 PAUSE = 0.2
 """Pause between two attempts to reach it [s]."""
 
@@ -76,13 +76,13 @@ class ChunkAgent(Agent):
         self._env, self._policy = env, policy
         self._v = vlagents()
         self.metadata: Metadata = policy.metadata()
-        """What the policy needs and gives."""
+        """The metadata of the policy."""
         require_fit(env, self.metadata)
         execution = execution or Execution()
         if env.is_real and execution.latency:
             raise InvalidSetup(f"latency is {execution.latency} s; it is for simulated time, remove it in real time.")
         self.execution = execution
-        """How chunks are executed."""
+        """The execution of its chunks."""
         self._period = 1.0 / env.frequency
         self._given_instruction, self._owns_policy = instruction, owns_policy
         self._session = session or f"{env.setup.robot_label} {next(_numbers)}"
@@ -156,7 +156,7 @@ class ChunkAgent(Agent):
 
     @property
     def error(self) -> Exception | None:
-        """Why the robot holds, if the policy or its connection has failed."""
+        """The error of the policy or its connection because of which the robot holds."""
         return self._executor.error
 
     def close(self) -> None:

@@ -27,15 +27,18 @@ _log = logging.getLogger(__name__)
 
 
 class Execution(Record):
-    """How chunks are executed. In all modes actions are picked by time: a late answer skips rows and never lags."""
+    """Options of the execution of chunks.
+
+    In all modes actions are picked by time: a late answer skips rows and never lags.
+    """
 
     mode: Mode = "receding"
-    """When the policy is called, and what is done with its answer."""
+    """Time of calls of the policy, and how its answer is used."""
     rows: Whole | None = None
     """Rows of a chunk that pass, by time, before the policy is called again. None for all of them in `open_loop`, and
     half of them otherwise; `ensemble` calls it as often as it answers."""
     latency: NotNegative = 0.0
-    """How long an answer takes in simulated time [s], which stands still while the policy computes. In real time,
+    """Delay of an answer in simulated time [s], which stands still while the policy computes. In real time,
     answers take as long as they take."""
     valid_for: NotNegative | None = None
     """Time to live of an action: how old the observation that it answers may be [s]. Later, the robot holds. None for
@@ -46,7 +49,7 @@ class Execution(Record):
     """After an error of the policy or its connection, the robot holds; then, connect again and continue, or end the
     episode."""
     retry: NotNegative = 1.0
-    """How long to hold after an error before the policy is called again [s]."""
+    """Pause between an error and the next call of the policy [s], while the robot holds."""
 
 
 class PolicyCall:
@@ -65,7 +68,7 @@ class PolicyCall:
         self.error: Exception | None = None
         """The error, if there was one."""
         self.seconds = 0.0
-        """How long it took by the wall clock [s]."""
+        """Duration by the wall clock [s]."""
         self.is_done = threading.Event()
 
     def run(self) -> None:
@@ -91,15 +94,15 @@ class Executor:
         """Prepare.
 
         Args:
-            execution: How chunks are executed.
-            period: How long a step of the loop is [s].
+            execution: The options.
+            period: Duration of a step of the loop [s].
             thread: Name of the thread that calls the policy, so that a loop in real time never waits; None for
                 simulated time, where the loop waits and the result counts after `execution.latency`.
         """
         self._execution, self._period = execution, period
         self._worker = None if thread is None else Worker(thread, PolicyCall.run)
         self.error: Exception | None = None
-        """Why the robot holds, if the policy or its connection failed."""
+        """The error because of which the robot holds."""
         self.chunks = 0
         """Chunks of this episode."""
         self.reset()
@@ -116,7 +119,7 @@ class Executor:
 
     @property
     def latency(self) -> float:
-        """How long the newest answer took, in the time of the loop [s]."""
+        """Delay of the newest answer, in the time of the loop [s]."""
         return self._latencies[-1] if self._latencies else float("nan")
 
     def fail(self, error: Exception, now: float) -> None:

@@ -53,7 +53,7 @@ _OPENINGS = {
 _ANGLES = {"rad": (1.0, 0.0), "deg": (math.pi / 180, 0.0)}
 
 MEANINGS = {"absolute": ("absolute", "relative"), "last_step": ("delta",), "origin": ()}
-"""What an arm's action may mean to a policy, by `Setup.relative`. Actions that count from where the chunk began become
+"""Meanings of an arm's action to a policy, by `Setup.relative`. Actions that count from where the chunk began become
 absolute ones here."""
 
 OBSERVE_TARGET = "ObserveTarget"
@@ -127,7 +127,7 @@ def nested(values: Mapping[str, NDArray[Any]], boxes: Mapping[str, spaces.Box]) 
 
 
 def offer_of(env: Env, metadata: v.Metadata | None = None) -> v.Offer:
-    """Return what an environment shows and takes.
+    """Return the observations and actions that an environment offers a policy.
 
     Args:
         env: The environment.

@@ -1,6 +1,6 @@
-"""Plans: what is to be done at any time, from one chunk, from two of which one takes over, or from many.
+"""Plans: commands at any time from one chunk, from two of which one takes over, or from many.
 
-A step of the loop from `time` on, `period` long, asks a plan what to command for that step. A row of a chunk is where
+A step of the loop from `time` on, `period` long, asks a plan for the command of that step. A row of a chunk is where
 to be at the *end* of its time, so a step gets the value of the curve through the rows at the step's end; where loop and
 policy have the same rate that is the row itself. Between rows, targets are interpolated and motions are split.
 """
@@ -30,7 +30,7 @@ STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 """The pose difference of no motion."""
 
 Command = Mapping[str, Array]
-"""What to command for one step, by part: targets, or the motion of the step."""
+"""Command for one step, by part: targets, or the motion of the step."""
 
 NEAR = 1e-6
 """Share of a row that is rounding."""
@@ -45,9 +45,9 @@ class Part:
     """Its columns of a chunk."""
     kind: Kind
     is_difference: bool = False
-    """Whether a row is a motion of one period, and no target."""
+    """True if a row is a motion of one period instead of a target."""
     counts_from_start: bool = False
-    """Whether a row counts from the state in which the chunk was asked for."""
+    """True if a row counts from the state of the observation that the chunk answers."""
     scale: float = 1.0
     """Takes a number in the policy's unit to ours."""
     offset: float = 0.0
@@ -55,7 +55,7 @@ class Part:
 
     @property
     def is_pose(self) -> bool:
-        """Whether values are poses."""
+        """True if values are poses."""
         return self.kind in ("pose", "rpy")
 
     def read(self, actions: Array, start: Array | None) -> Array:
@@ -63,7 +63,7 @@ class Part:
 
         Args:
             actions: The chunk, (horizon, size).
-            start: State in which it was asked for, (n,); needed by rows that count from there.
+            start: State of the observation that it answers, (n,); needed by rows that count from there.
         """
         rows = self.scale * actions[:, self.columns] + (0.0 if self.is_difference else self.offset)
         if self.is_pose:
@@ -78,14 +78,14 @@ class Part:
         return tquat_to_xyzrpy(value) if self.kind == "rpy" else value
 
     def unread(self, value: Array, start: Array | None) -> Array:
-        """Return a value as a row of a chunk has it, that was asked for in a state: the inverse of `read`."""
+        """Return a value in the form of a chunk's row that counts from a state: the inverse of `read`."""
         if self.counts_from_start:
             assert start is not None, "the agent gives the state of every part that counts from it"
             value = difference(start, value) if self.is_pose else value - start
         return (self.write(value) - (0.0 if self.is_difference else self.offset)) / self.scale
 
     def between(self, a: Array, b: Array, fraction: float) -> Array:
-        """Return what lies between two targets, or between two motions of the same time."""
+        """Return the interpolation of two targets, or of two motions of the same time."""
         return interpolate(a, b, fraction) if self.is_pose else a + fraction * (b - a)
 
     def share(self, motion: Array, fraction: float) -> Array:
@@ -116,17 +116,17 @@ class Part:
 
 
 class Plan(ABC):
-    """What is to be done at any time."""
+    """Commands at any time."""
 
     parts: Sequence[Part]
     begin: float
-    """When the observation that the newest chunk answers was made [s]."""
+    """Time of the observation that the newest chunk answers [s]."""
     end: float
-    """When there is nothing to be done any more [s]."""
+    """End of the last command [s]."""
 
     @abstractmethod
     def at(self, time: float, period: float) -> Command | None:
-        """Return what to command for a step; None if the plan says nothing about it.
+        """Return the command for a step; None if the plan has none.
 
         Args:
             time: When the step begins [s].
@@ -134,11 +134,11 @@ class Plan(ABC):
         """
 
     def covers(self, time: float, period: float) -> bool:
-        """Return whether the plan does not end within a step: of such a step it says only how it begins."""
+        """Return whether the plan covers a whole step and does not end within it."""
         return self.end > time + period - NEAR * period
 
     def simplified(self, time: float) -> Plan:
-        """Return a plan that says the same from a time on, without what is over."""
+        """Return a plan with the same commands from a time on, without parts that are over."""
         return self
 
 
@@ -158,13 +158,13 @@ class ChunkPlan(Plan):
         """Take a chunk.
 
         Args:
-            parts: Of an action.
+            parts: The parts of an action.
             actions: (horizon, size).
-            time: Of the observation that it answers [s].
-            period: Time that each row is for [s].
+            time: Time of the observation that it answers [s].
+            period: Duration of each row [s].
             start: Targets or state at that time by part, from where the first row is reached; without one, the first
                 row is commanded at once.
-            continues: Whether the policy itself has made it go on from the chunk in flight.
+            continues: Whether the policy itself has continued the chunk in flight.
 
         Raises:
             InvalidSetup: A row is not finite, or the period is not positive.
@@ -184,7 +184,7 @@ class ChunkPlan(Plan):
         return math.floor((time - self.begin) / self.period + NEAR)
 
     def at(self, time: float, period: float) -> Command | None:
-        """Return what to command for a step; None before the chunk and past its end."""
+        """Return the command for a step; None before the chunk and past its end."""
         first = (time - self.begin) / self.period
         if not -NEAR <= first < self._count - NEAR:
             return None
@@ -249,7 +249,7 @@ class Blend(Plan):
         return c * math.expm1(c) / math.expm1(1.0)
 
     def at(self, time: float, period: float) -> Command | None:
-        """Return the blend of what the two command for a step."""
+        """Return the blend of their commands for a step."""
         weight = self.weight(time)
         new = self._new.at(time, period)
         old = self._old.at(time, period) if weight > 0 and self._old.covers(time, period) else None
@@ -271,7 +271,7 @@ class Blend(Plan):
 
 
 class Ensemble(Plan):
-    """The mean of all chunks that speak of a step, aligned by time.
+    """The mean of all chunks that cover a step, aligned by time.
 
     Weights are those of ACT (Zhao et al. 2023, arXiv:2304.13705): exp(-m·i) for the i-th oldest, divided by their sum.
     """
@@ -289,7 +289,7 @@ class Ensemble(Plan):
         self._plans, self._decay = list(plans), decay
 
     def at(self, time: float, period: float) -> Command | None:
-        """Return the mean of what they command for a step."""
+        """Return the mean of their commands for a step."""
         whole = [plan for plan in self._plans if plan.covers(time, period)]
         found = [command for plan in whole or self._plans if (command := plan.at(time, period)) is not None]
         if not found:

@@ -1,4 +1,4 @@
-"""A policy at an address, as something that makes agents: it has no connection and survives pickling."""
+"""A factory of agents for a policy at an address; it has no connection and can be pickled."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vlagents import Metadata
 
 TOKEN = "VLAGENTS_TOKEN"
-"""Environment variable with what the server wants to hear."""
+"""Environment variable with the token of the server."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,15 +28,15 @@ class ServedPolicy:
     address: str
     """`vla://host:port`, `vlas://`, `unix://`, `ws://` or `wss://`."""
     execution: Execution = field(default_factory=Execution)
-    """How its chunks are executed."""
+    """Options of the execution of its chunks."""
     instruction: str | None = None
-    """What it is told to do; None for what the environment says."""
+    """The instruction; None for the environment's."""
     timeout: float = 5.0
-    """How long an answer may take [s]."""
+    """Longest duration of an answer [s]."""
     certificate: str | None = None
     """File with the certificate that the server's must be signed by."""
     described_in: str | None = None
-    """JSON file with the policy's metadata, as `Metadata.to_dict` has them, for `ws://` servers that do not tell them,
+    """JSON file with the policy's metadata, as `Metadata.to_dict` has them, for `ws://` servers that do not send them,
     such as openpi's."""
 
     @property
@@ -49,12 +49,12 @@ class ServedPolicy:
 
         Raises:
             MissingDependency: vlagents is not installed.
-            InvalidSetup: The address is none, it takes no metadata, or the file with them is wrong.
-            RcsError: Nobody is there, or says nothing, or wants another token.
+            InvalidSetup: The address is invalid or takes no metadata, or the file with them is wrong.
+            RcsError: There is no server, it does not answer, or it requires another token.
         """
         v = vlagents()
         if self.described_in is not None and not self.address.startswith(("ws://", "wss://")):
-            raise InvalidSetup(f"{self.address} tells its metadata by itself; described_in is for ws:// and wss://.")
+            raise InvalidSetup(f"{self.address} sends its own metadata; described_in is for ws:// and wss://.")
         try:
             options = {} if self.described_in is None else {"metadata": _described(Path(self.described_in), v)}
             return v.connect(
@@ -70,7 +70,7 @@ class ServedPolicy:
             raise RcsError(f"{type(err).__name__}: {err}") from err
 
     def metadata(self) -> Metadata:
-        """Connect, and return what the policy needs and gives.
+        """Connect, and return the metadata of the policy.
 
         Raises:
             RcsError: There is no policy; see `connect`.
@@ -101,5 +101,5 @@ def _described(path: Path, v: Any) -> Metadata:
 
 
 def agent_at(address: str, env: Env) -> ChunkAgent:
-    """Return the agent of a policy at an address, executed in the usual way."""
+    """Return the agent of a policy at an address, with the usual execution."""
     return ServedPolicy(address=address)(env)

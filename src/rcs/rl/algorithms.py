@@ -19,7 +19,7 @@ class Ppo(Record):
     batch_size: Whole = 1024
     """Steps per gradient step; fewer where `copies * n_steps` is no multiple of it, so that all have as many."""
     n_epochs: Whole = 8
-    """How often an update goes through its steps."""
+    """Passes of an update through its steps."""
     learning_rate: Positive = 3e-4
     """Step size of Adam at the start."""
     schedule: Schedule = "linear"
@@ -27,7 +27,7 @@ class Ppo(Record):
     gae_lambda: Share = 0.95
     """From 0, the value of the next state, to 1, the whole return (Schulman et al. 2016)."""
     clip_range: Positive = 0.2
-    """How far the ratio of new to old probabilities counts."""
+    """Range around 1 in which the ratio of new to old probabilities counts."""
     ent_coef: float = 0.0
     """Weight of the entropy; more explores for longer."""
     vf_coef: float = 0.5
@@ -63,7 +63,7 @@ class Sac(Record):
     schedule: Schedule = "constant"
     """Keep the step size, or let it fall to zero by the last step."""
     buffer_size: Whole = 1_000_000
-    """How many transitions are remembered, of all copies together."""
+    """Capacity of the replay in transitions, of all copies together."""
     learning_starts: Natural = 5_000
     """Steps with random actions before the first update, of all copies together."""
     tau: Share = 0.005

@@ -78,11 +78,11 @@ class Checkpoint:
     path: Path
     """Its folder."""
     training: Training
-    """What was trained."""
+    """The training."""
     steps: int
     """Environment steps that were made before, of all copies together."""
     seconds: float
-    """How long training took until here [s]."""
+    """Duration of the training until here [s]."""
     layout: FlatLayout
     """The numbers of the policy's vectors."""
     score: Score | None
@@ -118,7 +118,7 @@ class Checkpoint:
 
     @property
     def can_be_resumed(self) -> bool:
-        """Whether its state of the training is still there."""
+        """True while its state of the training is there."""
         return (self.path / LEARNER).exists()
 
     def _read(self, name: str) -> dict[str, Any]:
@@ -320,7 +320,7 @@ def best_of(found: Sequence[Checkpoint]) -> Checkpoint | None:
 
 
 def remove_old(run: Path, *, keep_after: int | None = None) -> None:
-    """Remove what is needed no more: partial checkpoints, old states of the training, and pieces of the replay.
+    """Remove files that are needed no more: partial checkpoints, old states of the training, and pieces of the replay.
 
     Evaluated checkpoints keep their weights; others are removed when they are no longer among the newest.
 

@@ -1,4 +1,4 @@
-"""Dictionaries of an environment as vectors, and back: what learners read and write."""
+"""Maps between the dictionaries of an environment and the vectors of learners."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Flat:
     """
 
     def __init__(self, of: Env | VecEnv | FlatLayout, selection: Selection | None = None) -> None:
-        """Choose what the vectors have.
+        """Prepare the maps.
 
         Args:
             of: An environment, also under Gymnasium's wrappers, or the layout of another Flat.
-            selection: What goes into the vectors of an environment; None for everything.
+            selection: Contents of the vectors of an environment; None for everything.
 
         Raises:
             InvalidSetup: A space is not one of numbers, a key or a camera is unknown, or nothing is left.
@@ -44,7 +44,7 @@ class Flat:
         if isinstance(of, FlatLayout) and selection is not None:
             raise InvalidSetup("A layout was given and also a selection; the layout says what the vectors have.")
         self.layout = of if isinstance(of, FlatLayout) else layout_of(of, selection or Selection())
-        """What the numbers are."""
+        """The layout of the vectors."""
         layout = self.layout
         self._action, self._state = _Scaling(layout.action), _Scaling(layout.state)
         self._poses = _PoseFeatures(layout.state, layout.bases)
@@ -139,7 +139,7 @@ class FlatEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
         Args:
             env: Made by `rcs.make`, also under Gymnasium's wrappers.
-            selection: What goes into the vectors; None for everything.
+            selection: Contents of the vectors; None for everything.
 
         Raises:
             InvalidSetup: See `Flat`.

@@ -126,7 +126,7 @@ class Image(Record):
 
 
 class FlatLayout(Record):
-    """What every number of a flat observation and action is: all that the maps need, as checkpoints keep it."""
+    """The meaning of every number of a flat observation and action, as checkpoints keep it."""
 
     action: tuple[Entry, ...]
     """Entries of the action's vector."""
@@ -172,7 +172,7 @@ def layout_of(env: Env | VecEnv, selection: Selection) -> FlatLayout:
 
     Args:
         env: The environment, also under Gymnasium's wrappers.
-        selection: What goes into the vectors.
+        selection: Contents of the vectors.
 
     Raises:
         InvalidSetup: It is no environment of rcs, a space is not one of numbers, a key or a camera is unknown, or
@@ -206,7 +206,7 @@ def layout_of_spaces(
         observation_space: The space of observations of one copy.
         robots: Robots by name; None if unknown: scales are general ones then.
         area: The area of the task; None if unknown.
-        selection: What goes into the vectors; None for everything.
+        selection: Contents of the vectors; None for everything.
 
     Raises:
         InvalidSetup: A space is not one of numbers, a key or a camera is unknown, or nothing is left.

@@ -24,7 +24,7 @@ class Learner(ABC):
     """
 
     training: Training
-    """What is learned."""
+    """The training."""
     envs: VecEnv
     """The copies."""
     flat: Flat
@@ -42,7 +42,7 @@ class Learner(ABC):
 
     @property
     def is_done(self) -> bool:
-        """Whether all steps of the training were made."""
+        """True once all steps of the training are made."""
         return self.steps >= self.training.steps
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""The figures of a run over its steps: a line each in a file, and the same as TensorBoard's events."""
+"""Figures of a run over its steps, as lines of JSON and as events of TensorBoard."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Row:
     steps: int
     """Environment steps before, of all copies together."""
     seconds: float
-    """How long training took until here [s]."""
+    """Duration of the training until here [s]."""
     time: float
     """Seconds since 1970, by the wall clock."""
     figures: Mapping[str, float]
-    """By names such as `train/loss`; those of updates and of training's episodes are Stable-Baselines3's."""
+    """Figures by names such as `train/loss`; those of updates and of training's episodes are Stable-Baselines3's."""
 
     def line(self) -> bytes:
         """Return the row as a line of JSON."""
@@ -44,7 +44,7 @@ class Row:
 
 
 def read_metrics(run: Path) -> list[Row]:
-    """Return the rows of a run up to the first that is damaged, which a kill leaves at the end; oldest first."""
+    """Return the rows of a run, oldest first, up to a damaged one, which a kill leaves at the end."""
     rows: list[Row] = []
     try:
         lines = (run / METRICS).read_bytes().split(b"\n")[:-1]
@@ -62,14 +62,14 @@ def read_metrics(run: Path) -> list[Row]:
 
 
 class Metrics(Closing):
-    """Writes the figures of a run. After a kill, those that are made again are removed first: none is double."""
+    """Writes the figures of a run. After a kill, rows that will be repeated are removed first."""
 
     def __init__(self, run: Path, *, after: int) -> None:
-        """Go on with the figures of a run.
+        """Continue the figures of a run.
 
         Args:
             run: Its folder.
-            after: The step that training goes on from; rows after it are removed. -1 removes all.
+            after: The step from which training continues; later rows are removed. -1 removes all.
 
         Raises:
             MissingDependency: TensorBoard is not installed.

@@ -24,7 +24,7 @@ _MEANING = ("robot", "end_effector", "control", "relative", "binary_gripper", "f
 
 
 class PolicyAgent(Agent):
-    """Acts by a trained policy, without exploration: what it is shown decides what it does.
+    """Acts by a trained policy without exploration; its actions depend on the observation alone.
 
     In a batch, every copy's observation goes through the network by itself: sums of a whole batch differ from those of
     one row in their last bits, and an episode would end otherwise than alone.
@@ -35,7 +35,7 @@ class PolicyAgent(Agent):
 
         Args:
             mean: Returns the flat actions for flat observations, both as tensors on the CPU with a leading axis.
-            layout: What the numbers of its vectors are.
+            layout: The layout of its vectors.
         """
         self._mean = mean
         self._torch = package("torch")
@@ -64,7 +64,7 @@ class PolicyAgent(Agent):
         return cls(mean_action(policy), checkpoint.layout)
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Check that the environment is one that the policy knows; nothing is remembered.
+        """Check that the environment has what the policy observes.
 
         Raises:
             InvalidSetup: An observation that it needs is missing, or has another shape.
@@ -107,9 +107,9 @@ def _require_alike(checkpoint: Checkpoint, env: Env | VecEnv) -> None:
     trained, here = checkpoint.training.setup, env.setup
     different = [name for name in _MEANING if getattr(trained, name) != getattr(here, name)]
     if different:
-        told = "; ".join(f"{name} is {getattr(here, name)!r}, not {getattr(trained, name)!r}" for name in different)
+        words = "; ".join(f"{name} is {getattr(here, name)!r}, not {getattr(trained, name)!r}" for name in different)
         raise InvalidSetup(
-            f"The policy of {checkpoint.path} was trained in another environment: {told}. `rcs eval CHECKPOINT` makes "
+            f"The policy of {checkpoint.path} was trained in another environment: {words}. `rcs eval CHECKPOINT` makes "
             "the right one."
         )
 

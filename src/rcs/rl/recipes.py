@@ -15,20 +15,20 @@ RATE = 10.0
 with 30 Hz than with 10 Hz."""
 
 DISCOUNT = 0.98
-"""What a reward a tenth of a second later is worth. With 0.96 it hardly paid to let go of a cuboid that is held but
+"""Worth of a reward a tenth of a second later. With 0.96 it hardly paid to let go of a cuboid that is held but
 jammed, and to grasp it anew: policies stayed there."""
 _JUDGED = 10.0
-"""Least time that a policy has where it is judged [s]: what a `Setup` gives everybody, 300 steps at 30 Hz."""
+"""Least duration of an episode of an evaluation [s]: the usual one of a `Setup`, 300 steps at 30 Hz."""
 
 
 def _setup(task: str, seconds: float) -> Setup:
-    """Return the environment of a policy that is told where the objects are."""
+    """Return the environment of a policy that observes the poses of the objects."""
     return Setup(
         task=task,
         control="xyzrpy",
         relative="last_step",
         # Translation, yaw and gripper are what these tasks need. An arm is up to 20 cm behind its target, and
-        # overshoots when that is not known: a simple controller picked 30 of 40 cuboids, and 40 when it was.
+        # overshoots when that is unknown: a simple controller picked 30 of 40 cuboids, and 40 with the target.
         # The target of an arm that presses on the table must not sink in: a policy that acts by chance would never
         # get it out again, and hold an object for ever without having lifted it once.
         layers=("BoundLead", "KeepTilt", "ObserveTarget"),
@@ -47,14 +47,14 @@ _SEEN = Setup(
     task="PickCuboid",
     control="joints",
     relative="last_step",
-    layers=("ObserveTarget",),  # what its teacher counts from, it knows too
+    layers=("ObserveTarget",),  # from which its teacher counts, too
     cameras=Cameras(names=("wrist", "side"), image_size=64),
     frequency=RATE,
     max_episode_steps=75,
     collision_reaction=False,
     physics_step=0.004,
 )
-"""The environment of a policy that sees, and is not told where the objects are: its own joints and two cameras."""
+"""The environment of a policy with cameras, which observes its own joints and two cameras."""
 
 
 def _ppo(task: str, *, seconds: float, steps: int) -> Training:
@@ -96,8 +96,8 @@ def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[st
 
     Args:
         task: Name of the task, or `module:Class`.
-        algorithm: What learns.
-        cameras: Cameras for a policy that sees; without any, it is told where the objects are.
+        algorithm: The algorithm.
+        cameras: Cameras of the policy; without any, it observes the poses of the objects.
 
     Raises:
         UnknownName: There is no such algorithm.

@@ -79,7 +79,7 @@ def _header(title: str, training: Training, rows: Sequence[Row], best: Checkpoin
     speeds = [row.figures[SPEED] for row in rows if SPEED in row.figures]
     if speeds:
         facts["steps/s, learning"] = f"{speeds[-1]:.0f}"
-    sees = f"sees {', '.join(training.setup.cameras.names)}" if training.setup.cameras else "is told the state"
+    sees = f"sees {', '.join(training.setup.cameras.names)}" if training.setup.cameras else "observes the state"
     what = f"{training.algorithm.name.upper()}, {training.copies} copies, seed {training.seed}; the policy {sees}"
     return header(title, what, facts)
 

@@ -1,4 +1,4 @@
-"""The folder of a run: its lock, and the record of what is trained there."""
+"""The folder of a run: its lock and the record of its training."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FREE = ("evaluate_every", "episodes", "checkpoint_every")
 
 @contextmanager
 def lock_run(run: Path) -> Generator[None]:
-    """Let no other process train in a folder meanwhile; the lock ends with this process.
+    """Lock a folder against other processes that train; the lock ends with this process.
 
     Raises:
         DatasetError: Another process does, the folder has other things in it, or it cannot be written.
@@ -50,10 +50,10 @@ def lock_run(run: Path) -> Generator[None]:
 
 
 def agreed(run: Path, training: Training) -> Training:
-    """Return a training with what one that began in a run's folder has measured, once it is the same one.
+    """Return a training with the number of threads of the one that began in a run's folder, if it is the same.
 
-    How often is evaluated and saved may change. So may the number of steps, unless the step size falls to zero by the
-    last one: then the steps so far would have been others.
+    The intervals of evaluations and checkpoints may change. So may the number of steps, unless the step size falls to
+    zero by the last one: the steps so far would have been different.
 
     Raises:
         InvalidSetup: Another training began there, or another version of this program.
@@ -69,14 +69,14 @@ def agreed(run: Path, training: Training) -> Training:
             free["steps"] = training.steps
         if different := replace(before, **free).difference(training):
             raise InvalidSetup(
-                f"In {run} another training began: {'; '.join(different)}. Give the same options to go on with it, or "
+                f"In {run} another training began: {'; '.join(different)}. Give the same options to continue it, or "
                 "another folder."
             )
     return training
 
 
 def write_training(run: Path, training: Training) -> None:
-    """Write what is trained into a run's folder.
+    """Write the record of a training into a run's folder.
 
     Raises:
         DatasetError: It cannot be written.
@@ -87,7 +87,7 @@ def write_training(run: Path, training: Training) -> None:
 
 
 def read_training(run: Path, *, trust: Collection[str] = ()) -> Training:
-    """Return what is trained in a run's folder.
+    """Return the training of a run's folder.
 
     Args:
         run: The folder.

@@ -21,7 +21,7 @@ def _base() -> Any:
     try:
         return importlib.import_module("stable_baselines3.common.vec_env").VecEnv
     except ImportError:
-        return object  # tells what is missing when it is made
+        return object  # making one names the missing extra
 
 
 _Base: Any = _base()  # of a class, hence here: this module is imported when `Sb3VecEnv` is used
@@ -48,7 +48,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         Args:
             envs: Made by `rcs.make_vec` with `autoreset="SameStep"`.
             flat: The maps; None for `Flat(envs)`.
-            reward_scale: Factor on the rewards of a step; the returns that infos tell are without it.
+            reward_scale: Factor on the rewards of a step; the returns in infos are without it.
 
         Raises:
             MissingDependency: Stable-Baselines3 is not installed.
@@ -134,11 +134,11 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         self._lengths[ended] = 0
 
     def statistics(self) -> dict[str, NDArray[Any]]:
-        """Return what was counted of the episodes at work, to go on with them later, an array (copies,) each."""
+        """Return the counters of the episodes at work, to continue them later, an array (copies,) each."""
         return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
 
     def set_statistics(self, statistics: Mapping[str, NDArray[Any]]) -> None:
-        """Go on with what `statistics` returned; the copies themselves go on from `VecEnv.set_state`."""
+        """Set the counters that `statistics` returned; `VecEnv.set_state` restores the copies themselves."""
         for own, name in ((self._returns, "returns"), (self._lengths, "lengths")):
             own[:] = statistics[name]
 
@@ -146,7 +146,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         """Close the copies; twice is harmless."""
         self.envs.close()
 
-    # --- What asks for single environments ----------------------------------------------------------------------------
+    # --- Methods for single environments ------------------------------------------------------------------------------
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """Return an attribute of the copies' environment, once per copy."""
@@ -191,5 +191,5 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         return numbers
 
     def __repr__(self) -> str:
-        """Return what it wraps."""
+        """Return the copies and the maps."""
         return f"Sb3VecEnv({self.envs!r}, {self.flat!r})"

@@ -1,4 +1,4 @@
-"""Trains the same with several seeds at a time on a Ray cluster, each in a run of its own."""
+"""Training with several seeds at a time on a Ray cluster, each in a run of its own."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Trained:
     steps: int
     """Environment steps of the whole run."""
     seconds: float
-    """How long it trained [s]."""
+    """Duration of the training [s]."""
 
 
 def run_of(out: Path, seed: int) -> Path:
@@ -46,9 +46,9 @@ def train_seeds(
     """Train with each seed, and yield each run as it is complete; the folder of a seed is `out/seed-N`.
 
     The weights are those of a training alone with as many threads. A machine that sees the folder `out` trains in it:
-    when its process or itself is lost, another goes on from the last checkpoint. One that does not sends its run at the
-    end, and what is lost before begins anew. Closing the iterator ends all trainings as a kill does; the same call goes
-    on with those that are in `out`.
+    when its process or itself is lost, another continues from the last checkpoint. A machine that does not see it sends
+    its run at the end; a run that is lost before begins anew. Closing the iterator ends all trainings as a kill does;
+    the same call continues those that are in `out`.
 
     Args:
         training: What to train, but for the seed; without a number of torch's threads, it has `cpus`.
@@ -112,7 +112,7 @@ class _Work:
     training: Training
     folder: Path
     sign: Path
-    """A file in the folder: who sees it sees the folder."""
+    """A file in the folder: a machine that sees it sees the folder."""
     cpus: int
     videos: bool
 

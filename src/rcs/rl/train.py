@@ -8,6 +8,7 @@ evaluation changes nothing that training depends on.
 from __future__ import annotations
 
 import importlib.metadata
+import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -39,7 +40,6 @@ from rcs.rl.packages import package, require_device
 from rcs.rl.policy import PolicyAgent
 from rcs.rl.run import VIDEOS, agreed, lock_run, write_training
 from rcs.rl.sb3_learner import Sb3Learner
-from rcs.rl.threads import fastest_threads
 from rcs.rl.training import Training
 from rcs.rollout.collect import Attempt
 from rcs.setups.make import make_vec, resolve
@@ -58,7 +58,7 @@ class Progress:
     total: int = 0
     """Steps of the whole training."""
     seconds: float = 0.0
-    """How long training took so far, with the time before kills that is not repeated [s]."""
+    """Duration of the training so far, with the time before kills that is not repeated [s]."""
     speed: float = 0.0
     """Steps per second while learning, without evaluations, since the last row of figures."""
     score: Score | None = None
@@ -68,7 +68,7 @@ class Progress:
     doing: str = "preparing"
     """The present activity."""
     notes: list[str] = field(default_factory=list[str])
-    """Messages for a person: what was measured, where it continues, what was damaged."""
+    """Messages for a person: where training continues, what is damaged."""
     is_interrupted: bool = False
     """Set it to end after the update at work, with a checkpoint."""
 
@@ -119,6 +119,11 @@ def require_trainable(training: Training) -> None:
     require_device(training.device)
 
 
+def cpus() -> int:
+    """Return how many CPUs this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def copies_for(training: Training, *, threads: int = 0) -> VecEnv:
     """Return the copies to learn in; where there is a teacher, they observe more than the policy.
 
@@ -156,17 +161,14 @@ class _Run:
         try:
             flat = flat_for(training, self._envs)
             if not training.torch_threads:
-                figures = fastest_threads(training, flat)
-                chosen = next(iter(figures))
-                words = ", ".join(f"{n} thread{'s' * (n > 1)} {figures[n]:.3g}" for n in sorted(figures))
-                progress.notes.append(f"torch, updates/s: {words}; chosen: {chosen}")
-                training = replace(training, torch_threads=chosen)
+                # Networks for states are so small that more threads are slower; convolutions use all of them.
+                training = replace(training, torch_threads=cpus() if flat.layout.images else 1)
             self._training = training
             package("torch").set_num_threads(training.torch_threads)
             self._learner = learner_for(training, self._envs, flat)
             self._agent = PolicyAgent(mean_action(self._learner.policy), flat.layout)
             self._last = self._restore()
-            write_training(run, training)  # only now, so that what was refused is in nobody's way
+            write_training(run, training)  # only now: a refused training leaves the folder to the next one
         except BaseException:
             self._envs.close()
             raise

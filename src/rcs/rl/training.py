@@ -24,7 +24,7 @@ _MOST_SEEDS = 1 << 40
 
 
 class Training(Record):
-    """What is trained. The same record gives the same weights, bit for bit, on the same machine.
+    """A training. The same record gives the same weights, bit for bit, on the same machine.
 
     Example:
         >>> from dataclasses import replace
@@ -55,8 +55,8 @@ class Training(Record):
     device: str = "cpu"
     """Device of the networks, as torch names it: `cpu`, `cuda`."""
     torch_threads: Natural = 0
-    """Threads of torch on the CPU; 0 to measure which number is fastest. Sums of another number differ in their last
-    bits."""
+    """Threads of torch on the CPU; 0 for one, or for one per CPU with cameras. Sums of another number differ in their
+    last bits."""
 
     def __post_init__(self) -> None:
         """Check every number.
