@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -58,7 +57,6 @@ class ChunkAgent(Agent):
         execution: Execution | None = None,
         instruction: str | None = None,
         session: str | None = None,
-        owns_policy: bool = True,
     ) -> None:
         """Prepare to act in an environment; the policy is not called yet.
 
@@ -68,7 +66,6 @@ class ChunkAgent(Agent):
             execution: How its chunks are executed; None for the usual way.
             instruction: The instruction for the policy; None for the environment's.
             session: The policy's session for this robot, if it serves several; None for a new one.
-            owns_policy: Whether `close` closes the policy too.
 
         Raises:
             InvalidSetup: Policy and environment do not fit; the message has all differences.
@@ -84,7 +81,7 @@ class ChunkAgent(Agent):
         self.execution = execution
         """The execution of its chunks."""
         self._period = 1.0 / env.frequency
-        self._given_instruction, self._owns_policy = instruction, owns_policy
+        self._given_instruction = instruction
         self._session = session or f"{env.setup.robot_label} {next(_numbers)}"
         self._actions = PolicyActions(env, self.metadata)
         self._executor = Executor(execution, self._period, f"policy {self._session}" if env.is_real else None)
@@ -160,13 +157,9 @@ class ChunkAgent(Agent):
         return self._executor.error
 
     def close(self) -> None:
-        """End the session, and close the policy if it is owned."""
+        """End the thread and close the policy."""
         self._executor.close()
-        if self._owns_policy:
-            self._policy.close()
-            return
-        with contextlib.suppress(self._v.VlagentsError, OSError):  # one that has gone has forgotten
-            self._policy.forget(self._session)
+        self._policy.close()
 
     def _time(self, info: Mapping[str, Any]) -> float:
         """Return when the present step begins [s]: in simulated time, or by the monotonic clock.
