@@ -11,9 +11,14 @@ import rcs
 from rcs.envs import spaces as keys
 from rcs.errors import InvalidSetup
 from rcs.rl import Flat, FlatLayout, Selection
-from rcs.rl.layout import Scales, bounds_of
+from rcs.rl.layout import Scales, bounds_of, layout_of_spaces
 
 BOX = spaces.Box(0, 1, (1,), np.float32)
+
+
+def flat_of(action: spaces.Space[Any], observation: spaces.Space[Any]) -> Flat:
+    """Return the maps of an FR3 with other spaces."""
+    return Flat(layout_of_spaces(action, observation, Scales(rcs.make().robots, None), Selection()))
 
 
 def test_a_layout_prints_every_number_with_its_unit() -> None:
@@ -35,7 +40,7 @@ def test_a_layout_prints_every_number_with_its_unit() -> None:
     ],
 )
 def test_a_damaged_layout_is_refused(damage: Any, message: str) -> None:
-    flat = Flat.from_spaces(spaces.Dict(a=BOX), spaces.Dict(joints=BOX, gripper=BOX))
+    flat = flat_of(spaces.Dict(a=BOX), spaces.Dict(joints=BOX, gripper=BOX))
     values = flat.layout.to_json()
     FlatLayout.from_json(values)
     damage(values)
@@ -65,29 +70,18 @@ def test_keys_choose_what_is_observed() -> None:
         Selection(features=("goal",))  # pyright: ignore[reportArgumentType]
 
 
-def test_spaces_alone_make_maps_with_general_scales() -> None:
-    env = rcs.make(observe=("privileged", "contacts"))
-    flat = Flat.from_spaces(env.action_space, env.observation_space)
-    observation, _ = env.reset(seed=0)
-    assert flat.layout.state_size == Flat(env).layout.state_size
-    assert np.abs(flat.observation(observation)).max() < 10.0
-    two = rcs.make("LiftBar", robot="dual_fr3", observe=("privileged",))
-    flat = Flat.from_spaces(two.action_space, two.observation_space)
-    assert {one.kind for one in flat.layout.state} == {"value", "turn"}  # where the bases stand is not known
-
-
 def test_spaces_without_numbers_or_bounds_are_refused() -> None:
     box = spaces.Box(-1, 1, (2,))
     with pytest.raises(InvalidSetup, match="'mode' has the space Discrete"):
-        Flat.from_spaces(spaces.Dict(mode=spaces.Discrete(3)), spaces.Dict(a=box))
+        flat_of(spaces.Dict(mode=spaces.Discrete(3)), spaces.Dict(a=box))
     with pytest.raises(InvalidSetup, match="'force' has no finite bounds"):
-        Flat.from_spaces(spaces.Dict(force=spaces.Box(-np.inf, np.inf, (1,))), spaces.Dict(a=box))
+        flat_of(spaces.Dict(force=spaces.Box(-np.inf, np.inf, (1,))), spaces.Dict(a=box))
     with pytest.raises(InvalidSetup, match="Nothing is left to observe"):
-        Flat.from_spaces(spaces.Dict(a=box), spaces.Dict())
+        flat_of(spaces.Dict(a=box), spaces.Dict())
     unbounded = spaces.Dict(a=spaces.Box(np.array([-np.inf, 0]), np.array([np.inf, 4]), dtype=np.float64), b=box)
-    flat = Flat.from_spaces(spaces.Dict(a=box), unbounded)
+    flat = flat_of(spaces.Dict(a=box), unbounded)
     np.testing.assert_array_equal(flat.observation({"a": np.array([30.0, 4.0]), "b": np.zeros(2)}), [30, 1, 0, 0])
-    with pytest.raises(InvalidSetup, match=r"make the maps with Flat\.from_spaces"):
+    with pytest.raises(InvalidSetup, match=r"make it with rcs\.make"):
         Flat(gymnasium.make("CartPole-v1"))  # pyright: ignore[reportArgumentType]
 
 
@@ -107,15 +101,16 @@ def test_positions_are_measured_from_the_middle_of_the_task_s_area(robot: str) -
     np.testing.assert_array_equal(speeds[1], placement.arm.velocity_limit)
 
 
-def test_where_the_arm_is_not_known_scales_are_general_ones() -> None:
+def test_what_occurs_is_far_smaller_than_the_bounds_of_velocities_and_forces() -> None:
+    scales = Scales(rcs.make().robots, None)
     for key, box in (
-        (keys.JOINT_VELOCITIES, keys.velocities_space(3)),
+        (keys.JOINT_VELOCITIES, keys.velocities_space(7)),
         (f"privileged/cup/{keys.VELOCITY}", keys.twist_space()),
         (keys.TQUAT, keys.tquat_space()),
         (keys.XYZRPY, keys.xyzrpy_space()),
         (keys.TCP_WRENCH, keys.load_spaces([1.0])[keys.TCP_WRENCH]),
     ):
-        offset, scale = Scales({}, None).of(key, box)
+        offset, scale = scales.of(key, box)
         assert offset.shape == scale.shape == box.shape
         assert (scale > 0).all()
         assert (scale < box.high).all() or key in (keys.TQUAT, keys.XYZRPY)

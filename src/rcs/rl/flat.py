@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from rcs.envs.env import Env
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidAction, InvalidSetup
-from rcs.rl.layout import Entry, FlatLayout, Image, Kind, Selection, layout_of, layout_of_spaces
+from rcs.rl.layout import Entry, FlatLayout, Image, Kind, Selection, layout_of
 from rcs.spatial import compose, normalize, relative, tquat_to_matrix
 
 STATE = "state"
@@ -59,11 +59,6 @@ class Flat:
                 image.name: spaces.Box(0, 255, image.shape, np.uint8) for image in layout.images
             }
             self.observation_space = spaces.Dict(({STATE: state_space} if layout.state else {}) | frames)
-
-    @classmethod
-    def from_spaces(cls, action_space: spaces.Space[Any], observation_space: spaces.Space[Any]) -> Flat:
-        """Make the maps from two spaces of one copy; scales are then general ones, for the robots are unknown."""
-        return cls(layout_of_spaces(action_space, observation_space))
 
     def action(self, vector: ArrayLike) -> dict[str, Any]:
         """Return the action of a vector.

@@ -26,18 +26,12 @@ from rcs.setups.make import resolve
 from rcs.sim.scene import RobotPlacement
 from rcs.spatial import compose, inverse
 
-SPEED = 2.5
-"""Joint speed that is 1 where the arm is unknown [rad/s]: the largest of relative actions."""
-TCP_SPEED, TURN_SPEED = 0.5, 1.8
-"""Speeds of objects that are 1 where the arm is unknown [m/s, rad/s]: those of `ArmDescription`."""
 FORCE, MOMENT = 30.0, 5.0
 """Force and moment on the tool that are 1 [N, Nm]. Our choice: the weight of a payload of 3 kg, and a sixth of that."""
 NEAR = 0.1
 """Distance between two poses that is 1 [m]. Our choice: about the width of an opened gripper."""
 CLOSE = 0.03
 """Distance that is 0.7 in the feature `near` [m]. Our choice: about half the width of a cuboid."""
-CENTRE, AROUND = (0.5, 0.0, 0.0), 0.5
-"""Position that is 0, and distance from it that is 1, where the arm is unknown [m]."""
 DEPTH_LEVEL_MM = 8
 """Depth of one level of a depth image [mm]: 255 levels reach 2 m, which is beyond a table."""
 
@@ -180,7 +174,7 @@ def layout_of(env: Env | VecEnv, selection: Selection) -> FlatLayout:
     """
     inner: Any = getattr(env, "unwrapped", env)
     if not isinstance(inner, Env | VecEnv):
-        raise InvalidSetup(f"{env!r} is no environment of rcs; make the maps with Flat.from_spaces.")
+        raise InvalidSetup(f"{env!r} is no environment of rcs; make it with rcs.make or rcs.make_vec.")
     area = None
     if isinstance(inner, VecEnv) or inner.is_simulated:
         area = inner.simulation.task.area
@@ -188,30 +182,26 @@ def layout_of(env: Env | VecEnv, selection: Selection) -> FlatLayout:
         area = resolve(inner.setup).task.area
     action = getattr(env, "single_action_space", env.action_space)
     observation = getattr(env, "single_observation_space", env.observation_space)
-    return layout_of_spaces(action, observation, robots=inner.robots, area=area, selection=selection)
+    return layout_of_spaces(action, observation, Scales(inner.robots, area), selection)
 
 
 def layout_of_spaces(
     action_space: spaces.Space[Any],
     observation_space: spaces.Space[Any],
-    *,
-    robots: Mapping[str, RobotPlacement] | None = None,
-    area: Area | None = None,
-    selection: Selection | None = None,
+    scales: Scales,
+    selection: Selection,
 ) -> FlatLayout:
     """Return the layout of vectors of two spaces.
 
     Args:
         action_space: The space of actions of one copy.
         observation_space: The space of observations of one copy.
-        robots: Robots by name; None if unknown: scales are general ones then.
-        area: The area of the task; None if unknown.
-        selection: Contents of the vectors; None for everything.
+        scales: The scales of observed keys.
+        selection: Contents of the vectors.
 
     Raises:
         InvalidSetup: A space is not one of numbers, a key or a camera is unknown, or nothing is left.
     """
-    selection, robots = selection or Selection(), robots or {}
     actions, found = _boxes(action_space, "action"), _boxes(observation_space, "observation")
     frames = {key: box for key, box in found.items() if key.partition("/")[0] == keys.FRAMES}
     state = _selected({key: box for key, box in found.items() if key not in frames}, selection.keys)
@@ -219,9 +209,9 @@ def layout_of_spaces(
         raise InvalidSetup(f"The action {unbounded[0]!r} has no finite bounds to be mapped to -1 and 1.")
     layout = FlatLayout(
         action=tuple(_value(key, box, *bounds_of(box)) for key, box in actions.items()),
-        state=tuple(_state_entries(state, Scales(robots, area), selection.features)),
+        state=tuple(_state_entries(state, scales, selection.features)),
         images=_images(frames, selection.cameras),
-        bases={} if len(robots) < 2 else {name: _base(robot) for name, robot in robots.items()},
+        bases={name: _base(robot) for name, robot in scales.robots.items()} if len(scales.robots) > 1 else {},
     )
     if not layout.action:
         raise InvalidSetup("The environment takes no action that could be a vector.")
@@ -303,8 +293,6 @@ def _state_entries(boxes: Mapping[str, spaces.Box], scales: Scales, features: Se
         yield _feature(key, "turn", 6)
     objects = [key for key in poses if key.startswith(f"{keys.PRIVILEGED}/")]
     tcps = [key for key in poses if key not in objects]
-    if not scales.robots and len(tcps) > 1:
-        return  # it is unknown where their bases stand
     length = 1.0 if scales.area is None else scales.area.object_scale
     for feature in features:
         for first, second in [*((tcp, other) for tcp in tcps for other in objects), *pairwise(objects)]:
@@ -341,7 +329,7 @@ class Scales:
     """Scales of observed keys, from the robots and the task's area."""
 
     robots: Mapping[str, RobotPlacement]
-    """Robots by name; empty if unknown."""
+    """Robots by name, one or more."""
     area: Area | None
     """The area of the task; None if unknown."""
 
@@ -349,19 +337,16 @@ class Scales:
         """Return the scale of a key; the translation of a pose comes first."""
         size = int(np.prod(box.shape, dtype=int))
         robot = self._robot(key)
+        arm = (robot or next(iter(self.robots.values()))).arm
         match _last(key):
             case keys.TQUAT | keys.XYZRPY as kind:
                 middle, half = self._around(robot)
                 turns = np.full(3, np.pi) if kind == keys.XYZRPY else np.ones(4)
                 return np.append(middle, np.zeros(len(turns))), np.append(half, turns)
             case keys.JOINT_VELOCITIES:
-                return np.zeros(size), np.array(
-                    np.broadcast_to(SPEED if robot is None else robot.arm.velocity_limit, size)
-                )
+                return np.zeros(size), np.array(np.broadcast_to(arm.velocity_limit, size))
             case keys.VELOCITY:
-                known = robot or next(iter(self.robots.values()), None)
-                speeds = (TCP_SPEED, TURN_SPEED) if known is None else (known.arm.tcp_speed, known.arm.tcp_turn_speed)
-                return np.zeros(size), np.repeat(speeds, 3)
+                return np.zeros(size), np.repeat((arm.tcp_speed, arm.tcp_turn_speed), 3)
             case keys.TCP_WRENCH:
                 return np.zeros(size), np.repeat([FORCE, MOMENT], 3)
             case _:
@@ -374,8 +359,6 @@ class Scales:
     def _around(self, robot: RobotPlacement | None) -> Scale:
         """Return the scale of positions (3,) in a robot's base frame: around the middle of the task's area."""
         robots = list(self.robots.values())
-        if not robots:
-            return np.array(CENTRE), np.full(3, AROUND)
         reach = (robot or robots[0]).arm.workspace_reach
         if self.area is None:
             return np.array([0.6 * reach, 0.0, 0.0]), np.full(3, 0.5 * reach)
