@@ -115,7 +115,8 @@ def test_a_policy_that_sees_and_its_videos(capsys: pytest.CaptureFixture[str], t
     code, told = call(capsys, "eval", str(run), *options)
     assert code == 0, told
     assert (tmp_path / "e" / "000000.mp4").exists()
-    assert json.loads((tmp_path / "e" / "evaluation.json").read_text())["setup"]["cameras"]["names"] == ["wrist", "side"]
+    setup = json.loads((tmp_path / "e" / "evaluation.json").read_text())["setup"]
+    assert setup["cameras"]["names"] == ["wrist", "side"]
 
 
 @pytest.mark.parametrize(
