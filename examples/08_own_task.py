@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 import rcs
 from rcs.agents import Agent
-from rcs.envs import Action, CopyIndex, Env, EpisodeRandom, Judgement, Layer, Observation, Task
+from rcs.envs import Action, CopyIndex, Env, EpisodeRandom, Judgement, Layer, Observation
 from rcs.rollout import Evaluation, Summary
-from rcs.sim import Scene, SimRobot, World
+from rcs.sim import Scene
 from rcs.spatial import limit_step
-from rcs.tasks import FreeBody, add_box, upright
+from rcs.tasks import TableTask, add_box, upright
 
-EDGE, LINE = 0.06, 0.70  # of the block, and where the line is along x in the base frame [m]
+EDGE, LINE = 0.06, 0.70  # of the block, and where the line is along x in the scene, here the base frame [m]
 
 
 class Floor(Layer):
@@ -48,9 +48,10 @@ class Pusher(Agent):
         return {"tquat": self._target, "gripper": np.array([0.0])}
 
 
-class PushToLine(Task):
+class PushToLine(TableTask):
     """Push a block away from the robot until its middle is over a line."""
 
+    names = ("block",)
     instruction = "push the block over the line"
     expert = Pusher
 
@@ -59,18 +60,14 @@ class PushToLine(Task):
         scene.add_table()
         add_box(scene, "block", self.area.center, edges=(EDGE, EDGE, EDGE), mass=0.05, rgb=(0.8, 0.3, 0.1))
 
-    def bind(self, world: World, robots: list[SimRobot]) -> None:
-        """Look up the block's pose in the robot's base frame."""
-        self._world, self._block = world, FreeBody(world, "block")
-        self._pose = world.read_pose("block", robots[0].placement.base_body)
-
     def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Place the block at random: x, y [m] and yaw [rad]."""
-        self._block.place(upright(random.uniform([0.45, -0.15, -0.2], [0.6, 0.15, 0.2]), np.array(EDGE / 2)), where)
+        place = random.uniform([0.45, -0.15, -0.2], [0.6, 0.15, 0.2])
+        self.bodies["block"].place(upright(place, np.array(EDGE / 2)), where)
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return the block's pose."""
-        return {"block": self._world.poses[..., self._pose, :].copy()}
+        return self.object_poses()
 
     def evaluate(self) -> Judgement:
         """Judge the distance to the line."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import struct
 
 import numpy as np
 import pytest
 
 from rcs.calibration import Board, detect
-from rcs.calibration.printing import POINTS, sheet_of, to_pdf, to_png
+from rcs.calibration.printing import POINTS, sheet_of, to_pdf
 from rcs.errors import InvalidSetup
 
 
@@ -89,21 +88,6 @@ def test_the_pdf_is_true_to_scale() -> None:
     assert "tag 60 mm, gap 20 mm" in text
     starts = [int(value) for value in re.findall(r"(\d{10}) 00000 n", text)]
     assert all(text[start:].startswith(f"{i} 0 obj") for i, start in enumerate(starts, start=1))
-
-
-@pytest.mark.extras
-def test_the_png_knows_its_scale_and_its_tags_have_their_size() -> None:
-    import cv2
-
-    board = Board(tag_size=0.05, gap=0.02)
-    data = to_png(board)
-    place = data.index(b"pHYs")
-    across, down, unit = struct.unpack(">IIB", data[place + 4 : place + 13])
-    assert across == down and unit == 1
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
-    assert picture is not None and picture.shape[1] / across == pytest.approx(0.210, abs=1e-4)
-    corners = detect(board, picture).corners
-    assert np.linalg.norm(corners[0, 1] - corners[0, 0]) / across == pytest.approx(0.05, rel=1e-3)
 
 
 def test_a_board_takes_the_smallest_sheet_and_one_that_fits_on_none_is_refused() -> None:

@@ -1,4 +1,4 @@
-"""A board of AprilTags: which tags it has, where their corners are, and what it looks like.
+"""A board of AprilTags: its tags, their corners, and its image.
 
 The frame of a board has its origin in the middle, x to the right and y up as printed, and z out of the printed side.
 Tags are of the family 36h11 (Olson, "AprilTag: A robust and flexible visual fiducial system", ICRA 2011); their numbers
@@ -7,15 +7,15 @@ count from the top left, row by row.
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
+from rcs_data.record import Natural, Positive, Record, Whole
 
 from rcs.calibration.packages import package
-from rcs.errors import InvalidSetup, require_fields
+from rcs.errors import InvalidSetup
 
 FAMILY = "tag36h11"
 """Family of the tags."""
@@ -25,19 +25,18 @@ CELLS = 8
 """Cells along the edge of a tag's black square, of which the outer ones are its frame."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Board:
+class Board(Record):
     """A flat board with a grid of tags; as it is by default it fits on a sheet of A4."""
 
-    rows: int = 2
+    rows: Whole = 2
     """Rows of tags."""
-    columns: int = 2
+    columns: Whole = 2
     """Columns of tags."""
-    tag_size: float = 0.08
+    tag_size: Annotated[float, Meta(ge=0.005, le=1.0)] = 0.08
     """Edge of a tag's black square [m]. Measure it on the print: an error of 1 % is one of 1 % in every distance."""
-    gap: float = 0.02
+    gap: Positive = 0.02
     """White between two tags, and half of it around all [m]; at least two cells of a tag."""
-    first_id: int = 0
+    first_id: Natural = 0
     """Number of the tag at the top left."""
 
     def __post_init__(self) -> None:
@@ -46,19 +45,14 @@ class Board:
         Raises:
             InvalidSetup: A number is out of range; the message says what is valid.
         """
-        for name, least in (("rows", 1), ("columns", 1), ("first_id", 0)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                raise InvalidSetup(f"{name} of a board is {value!r}; valid is a whole number from {least}.")
+        super().__post_init__()
         if self.first_id + self.rows * self.columns > TAGS:
             raise InvalidSetup(
                 f"{self.rows} x {self.columns} tags from number {self.first_id} on are more than the family {FAMILY} "
                 f"has, {TAGS}; choose fewer tags or a smaller first_id."
             )
-        if not (math.isfinite(self.tag_size) and 0.005 <= self.tag_size <= 1.0):
-            raise InvalidSetup(f"tag_size is {self.tag_size!r} m; valid is 0.005 to 1 m.")
         least = 2 * self.tag_size / CELLS
-        if not (math.isfinite(self.gap) and self.gap >= least - 1e-12):
+        if self.gap < least - 1e-12:
             raise InvalidSetup(
                 f"gap is {self.gap!r} m; valid is at least {least:g} m, two cells of a tag: without white around it, "
                 "a tag is not found."
@@ -102,7 +96,7 @@ class Board:
         """Return which cells of a tag are black, (8, 8), rows from the top.
 
         Args:
-            number: Of the tag.
+            number: Number of the tag.
 
         Raises:
             MissingDependency: OpenCV, which knows the family, is not installed.
@@ -112,7 +106,7 @@ class Board:
         return np.asarray(aruco.generateImageMarker(family, number, CELLS)) == 0
 
     def picture(self, pixels_per_cell: int = 16) -> NDArray[np.uint8]:
-        """Return what the board looks like, grey, rows from the top, its whole `size`.
+        """Return an image of the board, grey, rows from the top, its whole `size`.
 
         Args:
             pixels_per_cell: Pixels along the edge of a cell; the gap is rounded to whole pixels.
@@ -125,17 +119,3 @@ class Board:
             black = self.cells(number).repeat(pixels_per_cell, 0).repeat(pixels_per_cell, 1)
             picture[top : top + edge, left : left + edge][black] = 0
         return picture
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the board as JSON values."""
-        return asdict(self)
-
-    @staticmethod
-    def from_json(values: dict[str, Any]) -> Board:
-        """Return the board that `to_json` wrote.
-
-        Raises:
-            InvalidSetup: A field is unknown or a value is not valid.
-        """
-        require_fields("field of a board", values, (own.name for own in fields(Board)))
-        return Board(**values)

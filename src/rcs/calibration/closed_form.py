@@ -1,4 +1,4 @@
-"""Hand-eye calibration in closed form, as a start for the least squares.
+"""Hand-eye calibration in closed form, as a start for the least squares that wrong detections do not disturb.
 
 A X = X B for the rotations and then the translations, after Park and Martin, "Robot sensor calibration: solving
 AX = XB on the Euclidean group", IEEE Transactions on Robotics and Automation 10 (5), 1994. The rotation that turns the
@@ -7,22 +7,35 @@ vectors of the one side best into those of the other is found by singular values
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.spatial import Pose
+from rcs.calibration.board import Board
+from rcs.calibration.board_pose import BoardPose, board_poses
+from rcs.calibration.fit import Guess, Sightings, tag_errors
+from rcs.calibration.rig import Arrangement, View
+from rcs.errors import InvalidSetup
+from rcs.spatial import Intrinsics, Pose
 
 Poses = NDArray[np.float64]
 """Poses as matrices, (n, 4, 4)."""
+
+TRIES = 120
+"""Triples of views that are tried. With a third of them wrong or flipped, one in three triples is right."""
+NEAR = 30.0
+"""Error of a tag up to which it counts for a start, which is coarse [px]."""
+TURNED = np.deg2rad(8.0)
+"""Least angle between the views of a triple [rad]."""
 
 
 def camera_in_mount(anchors_in_mount: Poses, boards_in_camera: Poses) -> NDArray[np.float64]:
     """Return the pose of a camera in its mount, (4, 4), from two or more views.
 
     Args:
-        anchors_in_mount: Poses of what carries the board in what carries the camera.
+        anchors_in_mount: Poses of the board's anchor in the camera's mount.
         boards_in_camera: Poses of the board in the optical frame.
     """
     pairs = list(combinations(range(len(anchors_in_mount)), 2))
@@ -40,18 +53,18 @@ def camera_in_mount(anchors_in_mount: Poses, boards_in_camera: Poses) -> NDArray
 
 
 def board_in_anchor(camera: NDArray[np.float64], anchors_in_mount: Poses, boards_in_camera: Poses) -> Poses:
-    """Return where every view says that the board is in what carries it, (n, 4, 4).
+    """Return the pose of the board in its anchor according to each view, (n, 4, 4).
 
     Args:
         camera: Pose of the camera in its mount, (4, 4).
-        anchors_in_mount: Poses of what carries the board in what carries the camera.
+        anchors_in_mount: Poses of the board's anchor in the camera's mount.
         boards_in_camera: Poses of the board in the optical frame.
     """
     return np.linalg.inv(anchors_in_mount) @ camera @ boards_in_camera
 
 
 def middle_pose(poses: Poses) -> NDArray[np.float64]:
-    """Return the pose in the middle of some, (4, 4): medians of translations, and the mean of rotations.
+    """Return the middle of some poses, (4, 4): medians of translations, and the mean of rotations.
 
     Args:
         poses: The poses.
@@ -73,7 +86,7 @@ def rotation_vectors(poses: Poses) -> NDArray[np.float64]:
 
 
 def rigid(matrix: NDArray[np.float64]) -> Pose:
-    """Return a matrix as a pose; what rounding has made of its rotation is set right.
+    """Return a matrix as a pose, with rounding errors of its rotation removed.
 
     Args:
         matrix: The pose, (4, 4).
@@ -82,3 +95,52 @@ def rigid(matrix: NDArray[np.float64]) -> Pose:
     clean = np.eye(4)
     clean[:3, :3], clean[:3, 3] = u @ vt, matrix[:3, 3]
     return Pose.from_matrix(clean)
+
+
+def start(board: Board, views: Sequence[View], arrangement: Arrangement, intrinsics: Intrinsics) -> Guess:
+    """Return the closed form of the triple of views that explains most of all tags (RANSAC, Fischler and Bolles 1981).
+
+    Args:
+        board: The board.
+        views: The views.
+        arrangement: What carries the camera.
+        intrinsics: Intrinsics of their images.
+
+    Raises:
+        InvalidSetup: No triple explains more than half of the tags.
+    """
+    seen = Sightings.of(board, views, arrangement, intrinsics)
+    poses = [board_poses(board, view.detections, intrinsics) for view in views]
+    usable = [i for i, found in enumerate(poses) if found]
+    anchors = np.array([view.anchor_in_mount(arrangement) for view in views])
+    rng = np.random.default_rng(0)
+    best: tuple[float, Guess] | None = None
+    for _ in range(TRIES if len(usable) >= 3 else 0):
+        triple = rng.choice(usable, 3, replace=False)
+        if _least_turn(anchors[triple]) < TURNED:
+            continue
+        boards = np.array([_one(poses[i], rng).board_in_camera for i in triple])
+        camera = camera_in_mount(anchors[triple], boards)
+        guess = Guess(rigid(camera), rigid(middle_pose(board_in_anchor(camera, anchors[triple], boards))))
+        cost = float(np.minimum(tag_errors(guess, seen), NEAR).mean())
+        if best is None or cost < best[0]:
+            best = cost, guess
+    if best is None or best[0] > NEAR / 2:
+        raise InvalidSetup(
+            "No pose of the camera explains what most of these views show. The usual reasons: the board is not the one "
+            "that is given (count its tags, measure one), it moved, the intrinsics are of another camera, the joints "
+            "were not read when the picture was taken, or the camera is not where the arrangement says "
+            f"({arrangement})."
+        )
+    return best[1]
+
+
+def _one(found: list[BoardPose], rng: np.random.Generator) -> BoardPose:
+    """Return the more likely pose, or sometimes the other."""
+    return found[-1] if rng.random() < 0.2 else found[0]
+
+
+def _least_turn(anchors: np.ndarray) -> float:
+    pairs = [(0, 1), (0, 2), (1, 2)]
+    cosines = [(np.trace(anchors[i, :3, :3].T @ anchors[j, :3, :3]) - 1) / 2 for i, j in pairs]
+    return float(np.arccos(np.clip(max(cosines), -1.0, 1.0)))

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs.calibration.board import Board
+from rcs.calibration.closed_form import start
 from rcs.calibration.fit import GIVEN, Guess, Sightings, moved_by, refine, tag_errors
 from rcs.calibration.motion import motions
 from rcs.calibration.rig import Arrangement, View
 from rcs.calibration.robot_error import RobotError, RobotFit, fit_with_robot
-from rcs.calibration.start import start
 from rcs.calibration.verify import board_offset
 from rcs.errors import InvalidSetup
 from rcs.spatial import Intrinsics, Pose

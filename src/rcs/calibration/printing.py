@@ -1,16 +1,12 @@
-"""A board on paper: as PDF and as PNG, true to scale, with its sizes and a ruler printed below it."""
+"""A board on paper: a PDF, true to scale, with its sizes and a ruler printed below it."""
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rcs.calibration.board import CELLS, Board
-from rcs.calibration.packages import package
 from rcs.errors import InvalidSetup
 
 SHEETS = {
@@ -22,15 +18,13 @@ SHEETS = {
 }
 """Sheets of paper (ISO 216), width and height [m]; the smallest on which a board fits is taken."""
 EDGE = 0.005
-"""White that printers leave at the border [m]."""
+"""White border that printers leave [m]."""
 FOOT = 0.035
 """Room for text and ruler below the board [m]."""
 RULER = 0.1
 """Length of the ruler [m]."""
 POINTS = 72 / 0.0254
 """Points per metre (PDF 1.7, 8.3.2.3)."""
-PIXELS = 12000
-"""About how many pixels per metre a PNG has, 305 per inch."""
 
 Rectangle = tuple[float, float, float, float]
 """Left, top, width, height on the sheet [m]."""
@@ -40,7 +34,7 @@ def sheet_of(board: Board) -> tuple[str, tuple[float, float]]:
     """Return the sheet on which a board is printed: its name, width and height [m].
 
     Raises:
-        InvalidSetup: It fits on none.
+        InvalidSetup: The board fits on none.
     """
     width, height = board.size
     for name, (across, down) in SHEETS.items():
@@ -63,7 +57,7 @@ def text_of(board: Board) -> list[str]:
 
 
 def black_cells(board: Board) -> Iterator[Rectangle]:
-    """Give what is black of the tags, runs of cells of a row, as rectangles on the sheet."""
+    """Yield the black parts of the tags, runs of cells in a row, as rectangles on the sheet."""
     across, _ = sheet_of(board)[1]
     cell, pitch = board.tag_size / CELLS, board.tag_size + board.gap
     left = (across - board.size[0]) / 2 + board.gap / 2
@@ -81,7 +75,7 @@ def black_cells(board: Board) -> Iterator[Rectangle]:
 
 
 def _ruler(board: Board) -> Iterator[Rectangle]:
-    """Give the ruler's line and its marks, one per centimetre."""
+    """Yield the ruler's line and its marks, one per centimetre."""
     across, _ = sheet_of(board)[1]
     left, top = (across - RULER) / 2, EDGE + board.size[1] + 0.022
     yield left, top, RULER, 0.0004
@@ -124,29 +118,3 @@ def to_pdf(board: Board) -> bytes:
     table += b"".join(b"%010d 00000 n \n" % one for one in offsets)
     trailer = b"trailer\n<< /Size %d /Root 1 0 R >>\nstartxref\n%d\n%%%%EOF\n" % (len(objects) + 1, offset)
     return b"".join([*parts, table, trailer])
-
-
-def to_png(board: Board) -> bytes:
-    """Return a board with its sheet as a PNG, with its pixels per metre in it, so that programs print it to scale.
-
-    Raises:
-        InvalidSetup: It fits on no sheet.
-        MissingDependency: OpenCV is not installed.
-    """
-    cv2 = package("cv2")
-    # Whole pixels per cell, so that all cells are alike.
-    scale = max(1, round(PIXELS * board.tag_size / CELLS)) / (board.tag_size / CELLS)
-    width, height = (round(edge * scale) for edge in sheet_of(board)[1])
-    sheet: NDArray[np.uint8] = np.full((height, width), 255, np.uint8)
-    for left, top, across, down in [*black_cells(board), *_ruler(board)]:
-        x, y = round(left * scale), round(top * scale)
-        sheet[y : y + max(1, round(down * scale)), x : x + max(1, round(across * scale))] = 0
-    for i, line in enumerate(text_of(board)):
-        place = (round(0.012 * scale), round((EDGE + board.size[1] + 0.007 + 0.005 * i) * scale))
-        cv2.putText(sheet, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.95, 0, 2, cv2.LINE_AA)
-    data: bytes = cv2.imencode(".png", sheet)[1].tobytes()
-    # pHYs: pixels per metre in x and y, before the picture's data (PNG specification, 11.3.4.3).
-    body = b"pHYs" + struct.pack(">IIB", round(scale), round(scale), 1)
-    after_header = 8 + 25
-    chunk = struct.pack(">I", 9) + body + struct.pack(">I", zlib.crc32(body))
-    return data[:after_header] + chunk + data[after_header:]

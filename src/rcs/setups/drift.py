@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.calibration.drift import Drift
+from rcs.calibration.verify import Drift
 from rcs.envs.env import Env
 from rcs.envs.observers.drift_check import DriftCheck
 from rcs.envs.spaces import JOINTS, Observation, split_by_robot

@@ -3,7 +3,6 @@ from rcs.tasks.free import Free as Free
 from rcs.tasks.holding import Grip as Grip
 from rcs.tasks.holding import HoldTimer as HoldTimer
 from rcs.tasks.lift_bar import LiftBar as LiftBar
-from rcs.tasks.lifting import FreeBody as FreeBody
 from rcs.tasks.lifting import LiftOptions as LiftOptions
 from rcs.tasks.lifting import add_box as add_box
 from rcs.tasks.lifting import upright as upright
@@ -14,3 +13,5 @@ from rcs.tasks.push import Push as Push
 from rcs.tasks.show_board import ShowBoard as ShowBoard
 from rcs.tasks.show_board import ShowBoardOptions as ShowBoardOptions
 from rcs.tasks.stack_cuboid import StackCuboid as StackCuboid
+from rcs.tasks.table_task import FreeBody as FreeBody
+from rcs.tasks.table_task import TableTask as TableTask

@@ -1,8 +1,9 @@
-"""Distractors: objects of random sizes, colours and places that a task has nothing to do with."""
+"""Distractors: objects of random sizes, colours and places that do not matter to a task."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,8 +15,9 @@ from rcs.envs.task import Area
 from rcs.sim.model_rows import ModelRows
 from rcs.sim.scene import FLOOR_HEIGHT, Scene
 from rcs.sim.world import World
-from rcs.tasks.lifting import FreeBody, table_height, upright
+from rcs.tasks.lifting import table_height, upright
 from rcs.tasks.sizes import SizedBodies
+from rcs.tasks.table_task import FreeBody
 
 Circle = tuple[NDArray[np.float64], NDArray[np.float64] | float]
 """A circle on the table that stays free: its middle in the scene, (*leading, 2) or longer [m], and radius [m]."""
@@ -25,7 +27,7 @@ MOST = 16
 HALF_LOW, HALF_HIGH = (0.012, 0.012, 0.010), (0.028, 0.028, 0.032)
 """Half the extents along x, y, z [m]: from coins to cans. The tallest end below the palm of a gripper that grasps."""
 DENSITY = 450.0
-"""Of things printed in PLA with a usual infill, about that of Pick-Cuboid's cuboid [kg/m³]."""
+"""Density of objects printed in PLA with a usual infill, about that of Pick-Cuboid's cuboid [kg/m³]."""
 GAP = 0.01
 """Least free space around a distractor [m]."""
 TRIES = 24
@@ -93,7 +95,7 @@ class Distractors:
             random: Random numbers for exactly these copies; they are not advanced.
             where: The copies; `...` for all, or for the only one.
             area: Where distractors lie, with their middles.
-            occupied: What else lies on the table, of exactly these copies.
+            occupied: Circles that other objects take, of exactly these copies.
             around: Part of the area in which they lie, a square around a circle; None for all of it.
         """
         if not self.names:
@@ -116,15 +118,35 @@ class Distractors:
             places[..., 2] = np.pi * (2.0 * places[..., 2] - 1.0)
             is_free = np.ones(places.shape[:-1], np.bool_)
             for center, own in circles:
-                dx, dy = places[..., 0] - center[..., 0:1], places[..., 1] - center[..., 1:2]
-                least = np.asarray(radius + own + GAP)[..., None]
-                is_free &= dx * dx + dy * dy > least * least
-            first = is_free.argmax(axis=-1)[..., None, None]
-            place = np.take_along_axis(places, first, axis=-2)[..., 0, :]
-            has_room = is_free.any(axis=-1)
-            place[..., :2] = np.where(np.expand_dims(has_room, -1), place[..., :2], _put_away(i))
+                is_free &= are_apart(places, center, np.asarray(radius + own + GAP)[..., None])
+            place, has_room = first_free(places, is_free, _put_away(i))
             body.place(upright(place, z + np.where(has_room, table, FLOOR_HEIGHT)), where)
             circles.append((place, radius))
+
+
+def are_apart(
+    places: NDArray[np.float64], center: NDArray[np.float64], distance: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Return which places are farther than a distance from a centre, (*leading, tries).
+
+    Args:
+        places: x, y first [m], (*leading, tries, 3).
+        center: x, y first [m], (*leading, 2) or longer.
+        distance: The distance [m].
+    """
+    dx, dy = places[..., 0] - center[..., 0:1], places[..., 1] - center[..., 1:2]
+    return dx * dx + dy * dy > distance * distance
+
+
+def first_free(
+    places: NDArray[np.float64], is_free: NDArray[np.bool_], away: tuple[float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the first free place of each copy, (*leading, 3), and whether there is one; otherwise it is `away`."""
+    first = is_free.argmax(axis=-1)[..., None, None]
+    place = np.take_along_axis(places, first, axis=-2)[..., 0, :]
+    has_room: Any = is_free.any(axis=-1)
+    place[..., :2] = np.where(np.expand_dims(has_room, -1), place[..., :2], away)
+    return place, has_room
 
 
 def _corners(area: Area, around: Circle | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

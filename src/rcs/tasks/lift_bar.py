@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,13 +9,13 @@ from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
-from rcs.envs.task import Judgement, Task
+from rcs.envs.task import Judgement
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
 from rcs.tasks.holding import SLIP, Grip, HoldTimer
-from rcs.tasks.lifting import FreeBody, LiftOptions, add_box, lowest, norm, progress, table_height, upright
-from rcs.tasks.robots_needed import require_robots
+from rcs.tasks.lifting import LiftOptions, add_box, lowest, norm, progress, table_height, upright
+from rcs.tasks.table_task import TableTask
 
 EDGES = (0.035, 0.50, 0.05)
 """Edges of the bar along its x, y, z [m]: too long and too heavy at one end for one hand."""
@@ -31,7 +30,7 @@ MAX_YAW = 0.35
 BAR = "bar"
 
 
-class LiftBar(Task):
+class LiftBar(TableTask):
     """Grasp a bar at both ends with two arms, lift it, by 10 cm by default, and hold it level, for one second.
 
     It is a success when, without a break for that time, both ends of the bar are that high and it leans by less than
@@ -42,6 +41,8 @@ class LiftBar(Task):
     """
 
     memory = ("_half_edges", "_table", "_grasp_offset", "_ends", "_held", "_grip")
+    names = (BAR,)
+    robots_needed = 2
     instruction = "lift the bar with both arms"
     expert = "LiftExpert"
     Options = LiftOptions
@@ -52,25 +53,17 @@ class LiftBar(Task):
         scene.add_table()
         add_box(scene, BAR, self.area.center, edges=EDGES, mass=MASS, rgb=(0.12, 0.30, 0.62))
 
-    def objects(self) -> list[str]:
-        """Return the bar."""
-        return [BAR]
-
     def bind(self, world: World, robots: list[SimRobot]) -> None:
         """Register the bar's pose and the pads' forces on it for readout.
 
         Raises:
             InvalidSetup: There are not exactly two robots, or one has no gripper.
         """
-        require_robots("LiftBar", robots, 2)
-        self._world = world
-        model = world.model
-        self._pose = world.core.read_body_pose(model.body(BAR).id, 0)
+        super().bind(world, robots)
         self._tcps = [world.core.read_pose(robot.layout.tcp_site, 0) for robot in robots]
         self._grip = Grip(world, robots, BAR)
-        self._body = FreeBody(world, BAR)
         self._held = HoldTimer(world, self.options.hold_time, SLIP, places=len(robots))
-        self._geom = int(model.geom(BAR).id)
+        self._geom = int(world.model.geom(BAR).id)
         self._measure()
 
     def _measure(self) -> None:
@@ -85,23 +78,13 @@ class LiftBar(Task):
         """Put the bar at a random place, turned slightly."""
         self._measure()
         height = (self._table + self._half_edges[..., 2])[where]
-        self._body.place(upright(self.area.draw_place(random, MAX_YAW), height), where)
+        self.bodies[BAR].place(upright(self.area.draw_place(random, MAX_YAW), height), where)
         self._held.reset(where)
         self._grip.reset()
 
-    def object_poses(self) -> dict[str, NDArray[np.float64]]:
-        """Return the bar's pose in the scene."""
-        return {BAR: self._world.poses[..., self._pose, :].copy()}
-
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
-        """Put the bar at a given pose."""
-        if BAR in poses:
-            self._body.place(poses[BAR], where)
-
     def evaluate(self) -> Judgement:
         """Judge height, level and grasps, and for how long."""
-        poses = self._world.poses
-        bar = poses[..., self._pose, :].copy()
+        bar = self.poses_of(BAR).copy()
         grasped = self._grip.grasps()
         both = grasped[..., 0] & grasped[..., 1]
         x, y = bar[..., 3], bar[..., 4]
@@ -110,7 +93,7 @@ class LiftBar(Task):
         goal = self.options.lift_height
         is_held = (height >= goal) & is_level & both & self._grip.is_free()
         success = self._held.count(is_held, self._grip.places())
-        distances = norm(poses[..., self._tcps, :3] - self._grasps(bar))
+        distances = norm(self._world.poses[..., self._tcps, :3] - self._grasps(bar))
         come = progress(distances, grasped, (height / goal)[..., None]).mean(axis=-1)
         info: dict[str, NDArray[Any]] = {
             "is_grasped": both,
@@ -128,7 +111,7 @@ class LiftBar(Task):
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return the bar's pose, and the distance of the grasp points from its middle along its y [m]."""
         never = np.zeros(self._world.leading, np.bool_)
-        bar = self._world.poses[..., self._pose, :].copy()
+        bar = self.poses_of(BAR).copy()
         return {
             "success": never,
             "is_grasped": never,

@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rcs_data.record import Positive
 
-from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Task
 from rcs.sim.scene import TABLE, Scene
 from rcs.sim.world import World
-from rcs.spatial import xyzw_to_wxyz
 
 
 class LiftOptions(Task.Options):
@@ -22,23 +20,7 @@ class LiftOptions(Task.Options):
     lift_height: Positive = 0.10
     """Height above the table at which the whole object must be held: that of its lowest point [m]."""
     hold_time: Positive = 1.0
-    """How long it must be held without a break [s], in simulated time."""
-
-
-class FreeBody:
-    """A free body whose joint and geom share its name."""
-
-    def __init__(self, world: World, name: str) -> None:
-        """Look up its place in the state."""
-        self._qpos = world.qpos
-        first = int(world.model.joint(name).qposadr[0])
-        self._translation = slice(first, first + 3)
-        self._quaternion = slice(first + 3, first + 7)
-
-    def place(self, pose: NDArray[np.float64], where: CopyIndex) -> None:
-        """Put the bodies of some copies at poses in the scene, (*leading of these, 7) [m], xyzw."""
-        self._qpos[where, self._translation] = pose[..., :3]
-        self._qpos[where, self._quaternion] = xyzw_to_wxyz(pose[..., 3:])
+    """How long the object must be held without a break [s], in simulated time."""
 
 
 def add_box(
@@ -62,7 +44,7 @@ def add_box(
         size=[edge / 2 for edge in edges],
         mass=mass,
         rgba=[*rgb, 1.0],
-        # Sliding friction on rubber: our choice for PLA and wood. Of two bodies' coefficients MuJoCo takes the greater;
+        # Sliding friction on rubber: our choice for PLA and wood. MuJoCo takes the greater of two bodies' coefficients;
         # pads and tables have smaller ones, so that an object's is that of its contacts. Torsional friction, which
         # needs condim 4, keeps a box from turning between the pads. The time constant is the pads', the shortest that
         # a physics step of 2 ms allows: a box that falls by 30 cm sinks in by 4 mm. Twice the critical damping keeps
@@ -97,7 +79,7 @@ def lowest(pose: NDArray[np.float64], half_edges: NDArray[np.float64]) -> NDArra
     """Return the height of the lowest corner of a box [m], (*leading,).
 
     Args:
-        pose: Of its middle, (*leading, 7) [m], xyzw.
+        pose: Pose of its middle, (*leading, 7) [m], xyzw.
         half_edges: Half its edges along its x, y, z [m], (*leading, 3).
     """
     height, x, y, z, w = pose.T[2:]  # numbers for one copy, which are faster than arrays
@@ -124,14 +106,14 @@ def progress(
 
 
 def nearness(distance: NDArray[np.float64], steepness: float = 5.0) -> NDArray[np.float64]:
-    """Return how near an object is to where it belongs, 0 … 1: coarsely and finely, half each.
+    """Return how near an object is to its goal, 0 … 1: half coarsely and half finely.
 
     The fine half is our addition to ManiSkill 3's `1 - tanh(5 d)`: where an object must lie within 2 or 3 cm of its
     goal, it tells the last centimetres apart.
 
     Args:
         distance: Distance from the goal [m].
-        steepness: Of the coarse half [1/m].
+        steepness: Steepness of the coarse half [1/m].
     """
     return 1.0 - 0.5 * (np.tanh(steepness * distance) + np.tanh(25.0 * distance))
 

@@ -11,9 +11,9 @@ from rcs.envs.layers import CopyIndex
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import FLOOR_HEIGHT, Scene
 from rcs.sim.world import World
-from rcs.spatial import xyzw_to_wxyz
-from rcs.tasks.distractors import Circle
+from rcs.tasks.distractors import Circle, are_apart, first_free
 from rcs.tasks.lifting import table_height, upright
+from rcs.tasks.table_task import FreeBody
 
 MOST = 8
 """Most obstacles in a scene."""
@@ -51,7 +51,7 @@ class Obstacles:
         """Add them to a scene before it is compiled."""
         half = self._scale * np.array([HALF_WIDTH, HALF_WIDTH, HALF_HEIGHT])
         for i, name in enumerate(self.names):
-            # Of a body with `mocap`, the place is part of the state.
+            # The pose of a body with `mocap` is part of the state.
             body = scene.spec.worldbody.add_body(name=name, mocap=True, pos=[*_put_away(i), FLOOR_HEIGHT + half[2]])
             body.add_geom(
                 name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=[0.80, 0.33, 0.16, 1.0], condim=4, group=0
@@ -63,10 +63,7 @@ class Obstacles:
             return
         self._world = world
         self._home = _footprint(world.model, robot, below=2.0 * self._scale * HALF_HEIGHT)
-        state = mujoco.mjtState
-        self._pos = world.core.component(state.mjSTATE_MOCAP_POS.value).reshape(*world.leading, -1, 3)
-        self._quat = world.core.component(state.mjSTATE_MOCAP_QUAT.value).reshape(*world.leading, -1, 4)
-        self._ids = [int(world.model.body(name).mocapid[0]) for name in self.names]
+        self._bodies = [FreeBody(world, name) for name in self.names]
 
     def reset(self, random: EpisodeRandom, where: CopyIndex, middle: NDArray[np.float64]) -> list[Circle]:
         """Draw the obstacles of the next episodes of some copies.
@@ -77,7 +74,7 @@ class Obstacles:
             middle: The object in the scene, x, y of exactly these copies, (*leading, 2) [m].
 
         Returns:
-            What they take of the table.
+            The circles that they take on the table.
         """
         if not self.names:
             return []
@@ -85,7 +82,7 @@ class Obstacles:
         half = self._scale * HALF_HEIGHT
         height = table_height(self._world)[where]
         occupied: list[Circle] = []
-        for i, which in enumerate(self._ids):
+        for i, body in enumerate(self._bodies):
             # Numbers of one shape for all copies, whatever is free.
             drawn = streams.uniform(np.zeros((TRIES, 3)), np.ones((TRIES, 3)))
             angle = 2.0 * np.pi * drawn[..., 0]
@@ -101,15 +98,9 @@ class Obstacles:
             is_free = places[..., 0] ** 2 + places[..., 1] ** 2 > BASE * BASE
             is_free &= self._leaves_home(places)
             for center, own in occupied:
-                dx, dy = places[..., 0] - center[..., 0:1], places[..., 1] - center[..., 1:2]
-                is_free &= dx * dx + dy * dy > np.asarray(4.0 * own * own)
-            first = is_free.argmax(axis=-1)[..., None, None]
-            place = np.take_along_axis(places, first, axis=-2)[..., 0, :]
-            has_room = is_free.any(axis=-1)
-            place[..., :2] = np.where(np.expand_dims(has_room, -1), place[..., :2], _put_away(i))
-            pose = upright(place, half + np.where(has_room, height, FLOOR_HEIGHT))
-            self._pos[where, which, :] = pose[..., :3]
-            self._quat[where, which, :] = xyzw_to_wxyz(pose[..., 3:])
+                is_free &= are_apart(places, center, np.asarray(2.0 * own))
+            place, has_room = first_free(places, is_free, _put_away(i))
+            body.place(upright(place, half + np.where(has_room, height, FLOOR_HEIGHT)), where)
             occupied.append((place, self._scale * HALF_WIDTH * np.sqrt(2.0)))
         return occupied
 
@@ -125,10 +116,10 @@ class Obstacles:
 def _footprint(
     model: mujoco.MjModel, robot: SimRobot, below: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return what of a robot at home is below a height above its base [m], seen from above.
+    """Return the parts of a robot at home that are below a height above its base [m], seen from above.
 
     Returns:
-        Where lines begin, (n, 2), where they lead from there, (n, 2), and how far around them is the robot's, (n,) [m].
+        Starts of lines, (n, 2), their extents, (n, 2), and the radius of the robot around each, (n,) [m].
     """
     data, layout, placement = mujoco.MjData(model), robot.layout, robot.placement
     data.qpos[layout.qpos] = placement.arm.home

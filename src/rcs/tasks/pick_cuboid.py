@@ -11,18 +11,18 @@ from rcs_data.record import Meta
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
-from rcs.envs.task import Area, Judgement, Task
+from rcs.envs.task import Area, Judgement
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
 from rcs.spatial import compose
 from rcs.tasks.distractors import MOST, Distractors
 from rcs.tasks.holding import SLIP, TOUCH_FORCE, Grip, HoldTimer
-from rcs.tasks.lifting import FreeBody, LiftOptions, add_box, any_of, lowest, progress, table_height, upright
+from rcs.tasks.lifting import LiftOptions, add_box, any_of, lowest, progress, table_height, upright
 from rcs.tasks.obstacles import MOST as MOST_OBSTACLES
 from rcs.tasks.obstacles import Obstacles
-from rcs.tasks.robots_needed import require_robots
 from rcs.tasks.sizes import SizedBodies
+from rcs.tasks.table_task import TableTask
 
 SIZE = (0.064, 0.032, 0.0576)
 """Edges of the 3D-printed cuboid along its x, y, z [m] (the paper's)."""
@@ -59,7 +59,7 @@ class PickOptions(LiftOptions):
     robot at home. The scripted expert does not see them; the agent `planner` goes around them."""
 
 
-class PickCuboid(Task):
+class PickCuboid(TableTask):
     """Lift the cuboid, by 10 cm and for one second by default.
 
     It is a success when, without a break for that time, all of the cuboid is that high, both pads of the gripper press
@@ -72,6 +72,7 @@ class PickCuboid(Task):
     """
 
     memory = ("_half_edges", "_table", "_held", "_grip")
+    names = (CUBOID,)
     instruction = "pick up the green cuboid"
     expert = "PickExpert"
     Options = PickOptions
@@ -95,27 +96,20 @@ class PickCuboid(Task):
         self._distractors.furnish(scene)
         self._obstacles.furnish(scene)
 
-    def objects(self) -> list[str]:
-        """Return the cuboid."""
-        return [CUBOID]
-
     def bind(self, world: World, robots: list[SimRobot]) -> None:
         """Register the cuboid's pose and the pads' forces on it for readout.
 
         Raises:
             InvalidSetup: There is not exactly one robot, or it has no gripper.
         """
-        require_robots("PickCuboid", robots)
-        robot = robots[0]
-        placement = robot.placement
-        self._world = world
-        self._robot = robot
+        super().bind(world, robots)
+        self._robot = robot = robots[0]
         model = world.model
-        cuboid = world.geom_flags([CUBOID])
         self._pose = world.core.read_body_pose(model.body(CUBOID).id, robot.layout.base_body)
         self._grip = Grip(world, robots, CUBOID)
-        self._touched = world.core.read_force(world.subtree_flags(placement.base_body), cuboid)
-        self._body = FreeBody(world, CUBOID)
+        self._touched = world.core.read_force(
+            world.subtree_flags(robot.placement.base_body), world.geom_flags([CUBOID])
+        )
         self._held = HoldTimer(world, self.options.hold_time, SLIP, places=1)
         self._geom = int(model.geom(CUBOID).id)
         self._half_edges = np.zeros((*world.leading, 3))
@@ -123,8 +117,6 @@ class PickCuboid(Task):
         self._distractors.bind(world)
         self._obstacles.bind(world, robot)
         self._table = table_height(world)
-        # The pose for agents is in the base frame, which may be anywhere; the height is in the scene.
-        self._in_scene = world.core.read_body_pose(model.body(CUBOID).id, 0)
 
     def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Put the cuboid at a random place and yaw."""
@@ -137,7 +129,7 @@ class PickCuboid(Task):
         middle = pose[..., :2].copy()
         pose = compose(pose, self._lying(random))
         pose[..., 2] += self._table[where] - lowest(pose, self._half_edges[where])
-        self._body.place(pose, where)
+        self.bodies[CUBOID].place(pose, where)
         scale = self.area.object_scale
         occupied = [(middle, scale * FREE), *self._obstacles.reset(random, where, middle)]
         around = (middle, np.full(middle.shape[:-1], scale * NEAR))
@@ -146,7 +138,7 @@ class PickCuboid(Task):
         self._grip.reset()
 
     def _lying(self, random: EpisodeRandom) -> NDArray[np.float64]:
-        """Return how the cuboid lies, as poses (*leading, 7) without a translation."""
+        """Return the cuboid's orientations as poses (*leading, 7) without a translation."""
         pose = np.zeros((*random.leading, 7))
         if self.options.pose == "any":
             choice = np.floor(random.branch("pose").uniform(0.0, len(POSES))).astype(np.intp)
@@ -154,15 +146,6 @@ class PickCuboid(Task):
         else:
             pose[..., 3:] = POSES[self.options.pose]
         return pose
-
-    def object_poses(self) -> dict[str, NDArray[np.float64]]:
-        """Return the cuboid's pose in the scene."""
-        return {CUBOID: self._world.poses[..., self._in_scene, :].copy()}
-
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
-        """Put the cuboid at a given pose."""
-        if CUBOID in poses:
-            self._body.place(poses[CUBOID], where)
 
     def evaluate(self) -> Judgement:
         """Judge height, grasp and duration."""
@@ -173,7 +156,7 @@ class PickCuboid(Task):
         height = np.zeros(())
         is_held = is_grasped
         if any_of(is_grasped):
-            height = lowest(poses[..., self._in_scene, :], self._half_edges) - self._table
+            height = lowest(self.poses_of(CUBOID), self._half_edges) - self._table
             is_held = is_grasped & (height >= goal) & self._grip.is_free()
         success = self._held.count(is_held, self._grip.places())
         offset = cuboid[..., :3] - poses[..., self._robot.tcp_readout, :3]

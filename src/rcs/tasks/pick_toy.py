@@ -22,7 +22,7 @@ from rcs.sim.world import World
 from rcs.spatial import Pose, compose, inverse
 from rcs.tasks.holding import HoldTimer, all_but
 from rcs.tasks.lifting import LiftOptions, norm, progress, table_height
-from rcs.tasks.robots_needed import require_robots
+from rcs.tasks.table_task import require_robots
 
 SIZE = (0.09, 0.075, 0.07)
 """Length, width and height of the toy, an ellipsoid [m]."""
@@ -271,11 +271,11 @@ class _Lying:
     """
 
     shape: NDArray[np.float64]
-    """Of a weightless toy that touches the table [m]."""
+    """Shape of a weightless toy that touches the table [m]."""
     sunk: NDArray[np.float64]
-    """By how much the contact lets it sink in [m]."""
+    """Depth that the contact lets it sink in [m]."""
     given_in: NDArray[np.float64]
-    """By how much it gives in under its own weight [m]."""
+    """Depth that it gives in under its own weight [m]."""
 
     def nodes(self, size: NDArray[np.float64], mass: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the nodes from the point on the table under their middle [m], (*leading, nodes, 3).

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import mujoco
-import numpy as np
 from numpy.typing import NDArray
 from rcs_data.record import Positive
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
-from rcs.envs.task import Judgement, Task
+from rcs.envs.task import Judgement
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import TABLE, Scene
 from rcs.sim.world import World
-from rcs.tasks.lifting import FreeBody, add_box, table_height, upright
+from rcs.tasks.lifting import add_box, table_height, upright
 from rcs.tasks.pick_cuboid import CUBOID, MASS, SIZE
-from rcs.tasks.robots_needed import require_robots
 from rcs.tasks.setting_down import Delivery, RestOptions
+from rcs.tasks.table_task import TableTask
 
 MARK = "mark"
 RADIUS = 0.045
@@ -39,7 +37,7 @@ class PlaceOptions(RestOptions):
     """Largest distance of the cuboid's middle from that of the mark [m]."""
 
 
-class Place(Task):
+class Place(TableTask):
     """Carry a cuboid to a mark on the table, set it down there and let go of it.
 
     It is a success when the cuboid lies within 2 cm of the mark's middle, flat, on the table, and touched by nothing
@@ -52,6 +50,7 @@ class Place(Task):
     """
 
     memory = ("_delivery",)
+    names, marks = (CUBOID,), (MARK,)
     instruction = "put the green cuboid on the red mark"
     expert = "PlaceExpert"
     Options = PlaceOptions
@@ -69,23 +68,14 @@ class Place(Task):
         add_mark(scene, MARK, self.area.center, radius=scale * RADIUS)
         add_box(scene, CUBOID, self.area.center, edges=self.edges, mass=MASS * scale**3, rgb=(0.10, 0.55, 0.20))
 
-    def objects(self) -> list[str]:
-        """Return the cuboid."""
-        return [CUBOID]
-
     def bind(self, world: World, robots: list[SimRobot]) -> None:
         """Register poses and forces for readout.
 
         Raises:
             InvalidSetup: There is not exactly one robot, or it has no gripper.
         """
-        require_robots("Place", robots)
-        rest_time = self.options.rest_time
-        self._world = world
-        self._delivery = Delivery(world, robots, CUBOID, on=TABLE, at=MARK, rest_time=rest_time)
-        self._poses = {name: world.read_pose(name) for name in (CUBOID, MARK)}
-        self._body = FreeBody(world, CUBOID)
-        self._mark = MocapBody(world, MARK)
+        super().bind(world, robots)
+        self._delivery = Delivery(world, robots, CUBOID, on=TABLE, at=MARK, rest_time=self.options.rest_time)
         self._geom = int(world.model.geom(CUBOID).id)
 
     def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
@@ -93,49 +83,23 @@ class Place(Task):
         height = self._world.field("geom_size")[..., self._geom, 2]  # varies between episodes
         table = table_height(self._world)[where]
         place = self.area.draw_place(random)
-        self._body.place(upright(place, table + height[where]), where)
+        self.bodies[CUBOID].place(upright(place, table + height[where]), where)
         other = self.area.draw_apart(random, place, APART * self.area.object_scale)
         other[..., 2] = 0.0  # it is round
-        self._mark.place(upright(other, table), where)
+        self.bodies[MARK].place(upright(other, table), where)
         self._delivery.reset(where, height)
-
-    def object_poses(self) -> dict[str, NDArray[np.float64]]:
-        """Return the poses of the cuboid and of the mark in the scene."""
-        return {name: self._world.poses[..., i, :].copy() for name, i in self._poses.items()}
-
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
-        """Put the cuboid or the mark at a given pose."""
-        if CUBOID in poses:
-            self._body.place(poses[CUBOID], where)
-        if MARK in poses:
-            self._mark.place(poses[MARK], where)
 
     def evaluate(self) -> Judgement:
         """Judge where the cuboid is and whether it was set down there."""
         return self._delivery.judge(self.options.tolerance)
 
     def describe(self) -> dict[str, NDArray[Any]]:
-        """Return where the cuboid is, and where it belongs."""
+        """Return the poses of cuboid and goal."""
         return self._delivery.describe()
 
 
-class MocapBody:
-    """A body that nothing moves but the task; its pose is a part of the state."""
-
-    def __init__(self, world: World, name: str) -> None:
-        """Look up its place in the state."""
-        state = mujoco.mjtState
-        which = int(world.model.body(name).mocapid[0])
-        self._translation = slice(3 * which, 3 * which + 3)
-        self._positions = world.core.component(state.mjSTATE_MOCAP_POS.value)
-
-    def place(self, pose: NDArray[np.float64], where: CopyIndex) -> None:
-        """Put the bodies of some copies at places in the scene; poses are (*leading of these, 7) [m], untilted."""
-        self._positions[where, self._translation] = pose[..., :3]
-
-
 def add_mark(scene: Scene, name: str, place: tuple[float, float], *, radius: float) -> None:
-    """Add a round mark on the table, red and white, that nothing touches and a `MocapBody` places.
+    """Add a round mark on the table, red and white, that nothing touches and only the task places.
 
     Args:
         scene: The scene, before it is compiled.

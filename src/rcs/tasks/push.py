@@ -16,10 +16,9 @@ from rcs.envs.task import Area, Judgement, Task
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
-from rcs.spatial import xyzw_to_wxyz
 from rcs.tasks.holding import Grip, HoldTimer
-from rcs.tasks.lifting import FreeBody, add_box, lowest, nearness, norm, table_height, upright
-from rcs.tasks.robots_needed import require_robots
+from rcs.tasks.lifting import add_box, lowest, nearness, norm, table_height, upright
+from rcs.tasks.table_task import TableTask
 
 EDGES = (0.06, 0.06, 0.05)
 """Edges of the block along its x, y, z [m]. Lower than wide, so that it slides before it tips."""
@@ -56,7 +55,7 @@ class PushOptions(Task.Options):
     """How long the block must lie there at rest [s]."""
 
 
-class Push(Task):
+class Push(TableTask):
     """Push the block until its middle is over the red disc, and let it lie there at rest, by default for half a second.
 
     It must lie flat on the table and stay there: an episode in which it was lifted or grasped is lost. This is judged
@@ -68,6 +67,8 @@ class Push(Task):
     """
 
     memory = ("_lies_there", "_was_lifted", "_half_edges", "_table", "_grip")
+    names, marks = (BLOCK,), (GOAL,)
+    takes_hands = True
     instruction = "push the blue block onto the red disc"
     expert = "PushExpert"
     Options = PushOptions
@@ -90,7 +91,7 @@ class Push(Task):
         # Wood slides on a table top and on a gripper, whatever friction those have by themselves.
         block = scene.spec.geom(BLOCK)
         block.friction, block.priority = [FRICTION, 0.005, 0.0001], 2
-        # Of a body with `mocap`, the place is part of the state.
+        # The pose of a body with `mocap` is part of the state.
         scene.spec.worldbody.add_body(name=GOAL, mocap=True).add_geom(
             name=GOAL,
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
@@ -102,32 +103,23 @@ class Push(Task):
             group=0,
         )
 
-    def objects(self) -> list[str]:
-        """Return the block."""
-        return [BLOCK]
-
     def bind(self, world: World, robots: list[SimRobot]) -> None:
         """Register the poses of block and goal, and forces on the block, for readout.
 
         Raises:
             InvalidSetup: There is not exactly one robot, or it has neither gripper nor hand.
         """
-        require_robots("Push", robots, hands=True)
-        self._world = world
+        super().bind(world, robots)
         self._robot = robot = robots[0]
         model, core, placement = world.model, world.core, robots[0].placement
         block, goal = int(model.body(BLOCK).id), int(model.body(GOAL).id)
         base = robot.layout.base_body
         self._block, self._goal = core.read_body_pose(block, base), core.read_body_pose(goal, base)
-        self._block_in_scene, self._goal_in_scene = core.read_body_pose(block, 0), core.read_body_pose(goal, 0)
         self._tcp = core.read_pose(robot.layout.tcp_site, 0)
         self._touched = core.read_force(world.subtree_flags(placement.base_body), world.geom_flags([BLOCK]))
         self._grip = None if placement.gripper is None else Grip(world, robots, BLOCK)
-        self._body = FreeBody(world, BLOCK)
         first = int(model.joint(BLOCK).dofadr[0])
         self._velocity = slice(first, first + 6)
-        self._goal_place = world.core.component(mujoco.mjtState.mjSTATE_MOCAP_POS.value)
-        self._goal_turn = world.core.component(mujoco.mjtState.mjSTATE_MOCAP_QUAT.value)
         self._geom = int(model.geom(BLOCK).id)
         self._lies_there = HoldTimer(world, self.options.hold_time)
         self._was_lifted = np.zeros(world.leading, np.bool_)
@@ -147,9 +139,9 @@ class Push(Task):
         goal = np.take_along_axis(goals, is_far.argmax(axis=-1)[..., None, None], axis=-2)[..., 0, :]
         self._half_edges = self._world.field("geom_size")[..., self._geom, :].copy()  # varies between episodes
         self._table = table_height(self._world).copy()
-        self._body.place(upright(place, (self._table + self._half_edges[..., 2])[where]), where)
-        self._goal_place[where] = np.concatenate([goal, self._table[where][..., None]], axis=-1)
-        self._goal_turn[where] = (1.0, 0.0, 0.0, 0.0)
+        self.bodies[BLOCK].place(upright(place, (self._table + self._half_edges[..., 2])[where]), where)
+        level = np.concatenate([goal, np.zeros_like(goal[..., :1])], axis=-1)
+        self.bodies[GOAL].place(upright(level, self._table[where]), where)
         was_lifted = np.array(self._was_lifted)  # of one copy it is a number of NumPy's
         was_lifted[where] = False
         self._was_lifted = was_lifted
@@ -157,23 +149,10 @@ class Push(Task):
         if self._grip is not None:
             self._grip.reset()
 
-    def object_poses(self) -> dict[str, NDArray[np.float64]]:
-        """Return the poses of block and goal in the scene."""
-        poses = self._world.poses
-        return {BLOCK: poses[..., self._block_in_scene, :].copy(), GOAL: poses[..., self._goal_in_scene, :].copy()}
-
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
-        """Put the block, the goal or both at given poses."""
-        if BLOCK in poses:
-            self._body.place(poses[BLOCK], where)
-        if GOAL in poses:
-            self._goal_place[where] = poses[GOAL][..., :3]
-            self._goal_turn[where] = xyzw_to_wxyz(poses[GOAL][..., 3:])
-
     def evaluate(self) -> Judgement:
         """Judge where the block is, whether it lies still, and whether it stayed on the table."""
         poses = self._world.poses
-        block, goal = poses[..., self._block_in_scene, :], poses[..., self._goal_in_scene, :]
+        block, goal = self.poses_of(BLOCK), self.poses_of(GOAL)
         height = lowest(block, self._half_edges) - self._table
         self._was_lifted = self._was_lifted | (height > LIFTED) | self._is_grasped()
         way = goal[..., :3] - block[..., :3]

@@ -1,4 +1,4 @@
-"""What tasks share in which a robot carries a cuboid to a place, sets it down there and lets go of it."""
+"""The part that tasks share in which a robot carries a cuboid to a place, sets it down and lets go of it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class RestOptions(Task.Options):
     """Options of a task of setting something down."""
 
     rest_time: Positive = 0.5
-    """How long it must lie there at rest, without a break [s], in simulated time."""
+    """How long the object must lie at its goal at rest, without a break [s], in simulated time."""
 
 
 class Delivery:
@@ -66,14 +66,14 @@ class Delivery:
         )
         self._tcp = core.read_pose(robot.layout.tcp_site, 0)
         self._height: NDArray[np.float64] = np.zeros((*world.leading, 1))
-        """Of the goal above the origin of `at` [m]."""
+        """Height of the goal above the origin of `at` [m]."""
         self._was_lifted: NDArray[np.bool_] = np.zeros(world.leading, np.bool_)
         """Whether the object was in the gripper, and touched nothing else, at least once."""
         self._was_delivered: NDArray[np.bool_] = np.zeros(world.leading, np.bool_)
         """Whether it was near its goal when the gripper held it last, after it had been lifted."""
 
     def reset(self, where: CopyIndex, height: NDArray[np.float64]) -> None:
-        """Forget what happened in some copies, and take over how high above `at` the goals of all are [m]."""
+        """Start again for some copies, with the heights of all goals above `at` [m]."""
         self._grip.reset()
         self._rest.reset(where)
         self._height = height[..., None].copy()
@@ -86,7 +86,7 @@ class Delivery:
         return compose(self._world.poses[..., at, :], up)
 
     def describe(self) -> dict[str, NDArray[Any]]:
-        """Return what agents are told at the start of an episode."""
+        """Return the info of the start of an episode."""
         never = np.zeros(self._world.leading, np.bool_)
         return {"success": never, "is_grasped": never, "is_touched": never, **self._poses()}
 
@@ -97,13 +97,13 @@ class Delivery:
     def judge(self, tolerance: float, is_ready: NDArray[np.bool_] | np.bool_ = np.True_) -> Judgement:
         """Judge the present state of all copies.
 
-        Of nine parts of progress, reaching, lifting, setting down at the goal and letting go there have one each,
-        grasping two, and carrying to the goal what has been lifted three. What is held counts by how upright it is: an
+        Progress has nine parts: reaching, lifting, setting down at the goal and letting go there have one each,
+        grasping has two, and carrying to the goal after lifting three. A held object counts by how upright it is: an
         object that tipped over is hard to set down.
 
         Args:
             tolerance: Horizontal distance from the goal within which the object may lie [m].
-            is_ready: Whether what it lies on is as it should be, (*leading,).
+            is_ready: Whether the body below is as it should be, (*leading,).
         """
         poses, forces = self._world.poses, self._world.forces
         pose = poses[..., self._object, :]

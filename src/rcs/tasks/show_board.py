@@ -16,9 +16,9 @@ from rcs.tasks.free import Free
 BOARD = "board"
 """Name of the board's body, geom, material and texture."""
 THICKNESS = 0.003
-"""Of the board [m]."""
+"""Thickness of the board [m]."""
 PIXELS_PER_CELL = 32
-"""Of the texture."""
+"""Pixels of the texture per cell of a tag."""
 
 
 class ShowBoardOptions(Free.Options):
@@ -38,17 +38,17 @@ class ShowBoardOptions(Free.Options):
     """What carries the board, and in whose frame its pose is: the scene, or the base body of the first robot's
     gripper."""
     x: float = 0.5
-    """Of its middle [m]."""
+    """x of its middle [m]."""
     y: float = 0.0
-    """Of its middle [m]."""
+    """y of its middle [m]."""
     z: float = THICKNESS
-    """Of its middle [m]."""
+    """z of its middle [m]."""
     roll: float = 0.0
-    """About the fixed x axis [rad]."""
+    """Angle about the fixed x axis [rad]."""
     pitch: float = 0.0
-    """About the fixed y axis [rad]."""
+    """Angle about the fixed y axis [rad]."""
     yaw: float = 0.0
-    """About the fixed z axis [rad]."""
+    """Angle about the fixed z axis [rad]."""
 
     @property
     def board(self) -> Board:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,15 +9,15 @@ from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
-from rcs.envs.task import Judgement, Task
+from rcs.envs.task import Judgement
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import TABLE, Scene
 from rcs.sim.world import World
 from rcs.tasks.holding import all_but
-from rcs.tasks.lifting import FreeBody, add_box, table_height, upright
+from rcs.tasks.lifting import add_box, table_height, upright
 from rcs.tasks.pick_cuboid import CUBOID, MASS, SIZE
-from rcs.tasks.robots_needed import require_robots
 from rcs.tasks.setting_down import Delivery, RestOptions, is_flat
+from rcs.tasks.table_task import TableTask
 
 BLOCK = "block"
 NAMES = CUBOID, BLOCK
@@ -27,7 +26,7 @@ APART = 0.16
 """Least distance between the cuboids at the start [m]: an open gripper fits around one without touching the other."""
 
 
-class StackCuboid(Task):
+class StackCuboid(TableTask):
     """Put the green cuboid on the blue block, a cuboid of the same size, and let go of it.
 
     It is a success when the cuboid lies on the block, flat, and touched by nothing else, and has been at rest there for
@@ -40,6 +39,7 @@ class StackCuboid(Task):
     """
 
     memory = ("_delivery",)
+    names = NAMES
     instruction = "put the green cuboid on the blue block"
     expert = "StackExpert"
     Options = RestOptions
@@ -55,23 +55,15 @@ class StackCuboid(Task):
             place = (x, y + i * APART)
             add_box(scene, name, place, edges=edges, mass=MASS * scale**3, rgb=COLOURS[name])
 
-    def objects(self) -> list[str]:
-        """Return both cuboids."""
-        return list(NAMES)
-
     def bind(self, world: World, robots: list[SimRobot]) -> None:
         """Register poses and forces for readout.
 
         Raises:
             InvalidSetup: There is not exactly one robot, or it has no gripper.
         """
-        require_robots("StackCuboid", robots)
-        rest_time = self.options.rest_time
-        self._world = world
-        self._delivery = Delivery(world, robots, CUBOID, on=BLOCK, at=BLOCK, rest_time=rest_time)
+        super().bind(world, robots)
+        self._delivery = Delivery(world, robots, CUBOID, on=BLOCK, at=BLOCK, rest_time=self.options.rest_time)
         self._block_touched = world.read_force(all_but(world, TABLE, *NAMES), world.geom_flags([BLOCK]))
-        self._poses = {name: world.read_pose(name) for name in NAMES}
-        self._bodies = {name: FreeBody(world, name) for name in NAMES}
         self._geoms = [int(world.model.geom(name).id) for name in NAMES]
 
     def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
@@ -81,25 +73,14 @@ class StackCuboid(Task):
         place = self.area.draw_place(random)
         places = place, self.area.draw_apart(random, place, APART * self.area.object_scale)
         for i, name in enumerate(NAMES):
-            self._bodies[name].place(upright(places[i], heights[..., i][where]), where)
+            self.bodies[name].place(upright(places[i], heights[..., i][where]), where)
         self._delivery.reset(where, half_heights[..., 0] + half_heights[..., 1])
-
-    def object_poses(self) -> dict[str, NDArray[np.float64]]:
-        """Return the poses of both cuboids in the scene."""
-        return {name: self._world.poses[..., i, :].copy() for name, i in self._poses.items()}
-
-    def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
-        """Put cuboids at given poses."""
-        for name, pose in poses.items():
-            if name in self._bodies:
-                self._bodies[name].place(pose, where)
 
     def evaluate(self) -> Judgement:
         """Judge where the cuboid is and whether it was set down there."""
-        block = self._world.poses[..., self._poses[BLOCK], :]
-        is_ready = is_flat(block) & (self._world.forces[..., self._block_touched] == 0.0)
+        is_ready = is_flat(self.poses_of(BLOCK)) & (self._world.forces[..., self._block_touched] == 0.0)
         return self._delivery.judge(np.inf, is_ready)
 
     def describe(self) -> dict[str, NDArray[Any]]:
-        """Return where the cuboid is, and where it belongs."""
+        """Return the poses of cuboid and goal."""
         return self._delivery.describe()

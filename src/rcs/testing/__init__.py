@@ -1,6 +1,6 @@
-"""Contract suites: what every device and every environment must do, as tests to run on your own.
+"""Contracts of devices and environments, as tests to run on your own.
 
-Subclass a contract in a file of your tests, say how to make your device, and run pytest:
+Subclass a contract in a file of your tests, return your device from one method, and run pytest:
 
     from rcs.testing import ArmContract
 
@@ -23,7 +23,9 @@ pytest.register_assert_rewrite(
     "rcs.testing.env_contract",
     "rcs.testing.gripper_contract",
     "rcs.testing.hand_contract",
+    "rcs.testing.motion_contract",
     "rcs.testing.safety_contract",
+    "rcs.testing.stopping_contract",
 )
 
 load_on_use(__name__)

@@ -1,4 +1,4 @@
-"""What every arm must do, as tests."""
+"""The contract of arms, as tests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rcs.devices import Arm, ArmState, CommandKind
 from rcs.errors import InvalidAction
 from rcs.spatial import Pose
-from rcs.testing.device_contract import MotionContract
+from rcs.testing.motion_contract import MotionContract
 
 
 class ArmContract(MotionContract[Arm]):
@@ -182,8 +182,7 @@ class ArmContract(MotionContract[Arm]):
 
     def test_values_that_are_not_finite_are_refused_in_every_kind_of_command(self) -> None:
         """And times to live that are none; nothing moves."""
-        with self.open_device() as arm:
-            before = self.position(arm)
+        with self.staying_device() as arm:
             for kind, send, size in (
                 (CommandKind.joints, arm.command_joints, arm.dof),
                 (CommandKind.twist, arm.command_twist, 6),
@@ -199,9 +198,6 @@ class ArmContract(MotionContract[Arm]):
                 for valid_for in (0.0, -1.0, math.nan):
                     with pytest.raises(InvalidAction, match="valid for"):
                         send(np.zeros(size), valid_for)
-            self.advance(self.stopping_time)
-            assert self.is_near(arm, before)
-            assert arm.fault == ""
 
     def test_an_arm_refuses_commands_of_a_kind_that_it_does_not_name(self) -> None:
         """And those of a wrong size where it names them; nothing moves."""

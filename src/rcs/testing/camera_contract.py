@@ -1,4 +1,4 @@
-"""What every camera must do, as tests."""
+"""The contract of cameras, as tests."""
 
 from __future__ import annotations
 

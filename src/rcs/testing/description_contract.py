@@ -1,4 +1,4 @@
-"""What every description of an arm must do, as tests: its figures, its model file and its servos fit each other."""
+"""The contract of descriptions of arms, as tests: figures, model file and servos fit each other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every environment must do, as tests."""
+"""The contract of all environments, as tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every hand must do, as tests."""
+"""The contract of hands, as tests."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.devices import Hand, HandState
-from rcs.testing.device_contract import MotionContract
+from rcs.testing.motion_contract import MotionContract
 
 
 class HandContract(MotionContract[Hand]):

@@ -1,4 +1,4 @@
-"""What every environment of this library must do when something goes wrong, as tests."""
+"""The contract of this library's environments when something goes wrong, as tests."""
 
 from __future__ import annotations
 

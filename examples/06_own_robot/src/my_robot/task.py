@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents import Phase, Plan, Script, ScriptedArm
-from rcs.envs import CopyIndex, EpisodeRandom, Judgement, Task
-from rcs.sim import Scene, SimRobot, World
-from rcs.tasks import FreeBody, add_box, upright
+from rcs.envs import CopyIndex, EpisodeRandom, Judgement
+from rcs.sim import Scene
+from rcs.tasks import TableTask, add_box, upright
 
 BLOCK = "block"
 EDGE = 0.05
@@ -20,12 +20,13 @@ LINE = 0.10
 """How far beyond the middle of the lab's area the line is [m]."""
 
 
-class PushToLine(Task):
+class PushToLine(TableTask):
     """Push the block over the white line.
 
     Progress, of which the reward is made, falls from 1 to 0 with the distance that is left: `1 - tanh(5 d)`.
     """
 
+    names = (BLOCK,)
     instruction = "push the block over the line"
     expert = "LineExpert"
 
@@ -43,43 +44,21 @@ class PushToLine(Task):
             group=0,
         )
 
-    def objects(self) -> list[str]:
-        """Return the block, whose size, mass and colour may vary."""
-        return [BLOCK]
-
-    def bind(self, world: World, robots: list[SimRobot]) -> None:
-        """Have the block's pose in the scene read out, which is that in the base frame of a robot alone."""
-        self._world = world
-        self._body = FreeBody(world, BLOCK)
-        self._pose = world.read_pose(BLOCK)
-
     def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
         """Lay the block down before the line. Arrays have a row per copy that starts, or no such axis for one alone."""
         x, y = self.area.center
         place = random.uniform([x - 0.05, y - 0.10, -0.2], [x + 0.03, y + 0.10, 0.2])
-        self._body.place(upright(place, np.full(place.shape[:-1], EDGE / 2)), where)
+        self.bodies[BLOCK].place(upright(place, np.full(place.shape[:-1], EDGE / 2)), where)
 
     def evaluate(self) -> Judgement:
         """Judge how far the block still has to go."""
-        block = self._block()
+        block = self.poses_of(BLOCK).copy()
         left = np.maximum(self.area.center[0] + LINE - block[..., 0], 0.0)
         return Judgement(success=left == 0.0, progress=1.0 - np.tanh(5.0 * left), info={BLOCK: block})
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return where the block lies at the start."""
-        return {"success": np.zeros(self._world.leading, np.bool_), BLOCK: self._block()}
-
-    def object_poses(self) -> dict[str, NDArray[np.float64]]:
-        """Return where the block is, for recordings."""
-        return {BLOCK: self._block()}
-
-    def place(self, poses: Any, where: CopyIndex) -> None:
-        """Put the block somewhere, for replays of real recordings."""
-        if BLOCK in poses:
-            self._body.place(poses[BLOCK], where)
-
-    def _block(self) -> NDArray[np.float64]:
-        return self._world.poses[..., self._pose, :].copy()
+        return {"success": np.zeros(self._world.leading, np.bool_), **self.object_poses()}
 
 
 class LineExpert(Script):

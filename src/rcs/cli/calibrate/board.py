@@ -8,7 +8,7 @@ from pathlib import Path
 from rcs_data.cli.console import plain_console
 
 from rcs.calibration import Board
-from rcs.calibration.printing import sheet_of, text_of, to_pdf, to_png
+from rcs.calibration.printing import sheet_of, text_of, to_pdf
 
 
 @dataclass(kw_only=True)
@@ -36,25 +36,24 @@ class BoardOptions:
 
 @dataclass(kw_only=True)
 class BoardCommand(BoardOptions):
-    """Draw a board of AprilTags to print, as PDF and as PNG, true to scale.
+    """Draw a board of AprilTags to print, as a PDF, true to scale.
 
-    Print it at 100 %, fix it to something flat and stiff, measure a tag, and give what you measured to the other
+    Print it at 100 %, fix it to something flat and stiff, measure a tag, and give the measured size to the other
     commands as `--tag-size-mm`.
     """
 
     out: Path = field(default_factory=lambda: Path("board"))
-    """Path of the two files, without their endings."""
+    """Path of the file; its ending is .pdf."""
 
     def run(self) -> int:
-        """Draw it and tell where it is."""
+        """Draw it and print where it is."""
         board = self.board
         sheet, _ = sheet_of(board)
         self.out.parent.mkdir(parents=True, exist_ok=True)
         console = plain_console()
-        for ending, data in ((".pdf", to_pdf(board)), (".png", to_png(board))):
-            path = self.out.with_name(self.out.name + ending)
-            path.write_bytes(data)
-            console.print(f"{path}: on a sheet of {sheet}")
+        path = self.out.with_suffix(".pdf")
+        path.write_bytes(to_pdf(board))
+        console.print(f"{path}: on a sheet of {sheet}")
         for line in text_of(board):
             console.print(line)
         return 0

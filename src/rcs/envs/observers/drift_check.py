@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.calibration import Board, detect
-from rcs.calibration.drift import Drift, reprojection_errors
+from rcs.calibration.verify import Drift, reprojection_errors
 from rcs.envs.observer import Observer, Transition
 from rcs.envs.spaces import DISTORTION, EXTRINSICS, FRAMES, INTRINSICS, RGB, Observation
 from rcs.spatial import Intrinsics
