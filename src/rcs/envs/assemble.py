@@ -60,8 +60,8 @@ def assemble(
     """Put one environment together, simulated, real, or some of each.
 
     Args:
-        parts: What it is made of.
-        render_mode: What `render` does; None for nothing.
+        parts: Its parts.
+        render_mode: Mode of `render`; None for nothing.
         is_blind: Leave the cameras in the scene, whose state they are part of, but observe no frames.
         drawn: Names of the cameras to observe, in this order; the others stay in the scene. None for all.
 
@@ -296,7 +296,7 @@ def _times(parts: Parts, stale_after: float) -> dict[str, float]:
 
 
 def _frame_clock(setup: Setup, cameras: Sequence[CameraPlacement], world: World) -> FrameClock:
-    """Return the clock that says when each camera has a new frame."""
+    """Return the clock that knows when each camera has a new frame."""
     rates = {
         camera.name: FrameRate.of(camera.camera, setup.cameras.size_of(camera.name), setup.cameras.fps_of(camera.name))
         for camera in cameras

@@ -82,10 +82,10 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             stack: Ports, layers and gates.
             clock: Lets time pass.
             simulation: A simulated world with its task; None for real devices alone.
-            setup: What the environment was made from; None for one that is put together by hand.
+            setup: The setup; None for an environment that is put together by hand.
             robots: Its robots, simulated or real; None for those of the simulation.
-            platform: What every robot, `robot/end effector` and camera is: `simulation`, or the name of a driver.
-            instruction: What the robot is asked to do; None for what the task says.
+            platform: Origin of every robot, `robot/end effector` and camera: `simulation`, or the name of a driver.
+            instruction: Instruction for the robot; None for that of the task.
             max_episode_steps: An episode is truncated after this many steps; None for no limit.
             observers: See every step.
             picture: Draws what `render` returns; None for an environment that has none.
@@ -105,7 +105,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         self.robots: dict[str, RobotPlacement] = {robot.name: robot for robot in placements}
         """Descriptions of the robots and where they stand, by name."""
         self.platform = dict(platform or dict.fromkeys(self.robots, "simulation" if simulation else "hardware"))
-        """What every robot, end effector and camera is: `simulation`, or the name of a driver."""
+        """Origin of every robot, end effector and camera: `simulation`, or the name of a driver."""
         self._picture = picture
         self._title = title
         self._pictures: list[NDArray[np.uint8]] = []
@@ -135,7 +135,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
 
     @property
     def setup(self) -> Setup:
-        """What the environment was made from.
+        """The setup that the environment was made from.
 
         Raises:
             WrongOrder: It was put together by hand.
@@ -151,7 +151,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
 
     @property
     def instruction(self) -> str:
-        """What the robot is asked to do; `info["instruction"]` of `reset`."""
+        """The instruction for the robot; `info["instruction"]` of `reset`."""
         return self._engine.instruction
 
     @property
@@ -235,12 +235,12 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
     def step(self, action: Mapping[str, Any]) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
         """Command all devices, let one control step pass, observe.
 
-        `info["end"]` says why the step ended: `period`, `converged`, `interrupted` or `limit`. A device that enters its
-        fault state ends the episode: all devices hold, it is truncated, `info["end"]` is `fault`, and `info["faults"]`
-        has the reasons by device; where a device can no longer be measured, the observation is the one of the step
-        before. A simulation that leaves the range of finite numbers does the same, as `diverged`, with the last good
-        observation. `info["target"]` has what the action came to, as absolute targets; `info["refused"]` is there when
-        a gate let nothing through.
+        `info["end"]` is the reason for the end of the step: `period`, `converged`, `interrupted` or `limit`. A device
+        that enters its fault state ends the episode: all devices hold, it is truncated, `info["end"]` is `fault`, and
+        `info["faults"]` has the reasons by device; where a device can no longer be measured, the observation is that of
+        the step before. A simulation that leaves the range of finite numbers does the same, as `diverged`, with the
+        last good observation. `info["target"]` has the absolute targets of the action, and `info["refused"]` the reason
+        of a gate that let nothing through.
         `info["time"]` is the time of the observation [s], and in real time `info["late"]` how late the step ended [s]
         and `info["ages"]` how old each sensor's reading is [s]. `info["clamped"]` counts, by arm and by what was too
         much, the commands since `open` of which a streamed arm has carried out less.
@@ -300,7 +300,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         An episode that is being recorded ends here, without a verdict.
 
         Args:
-            state: What `get_state` of this environment returned, or of another one that is made from the same parts.
+            state: State from `get_state` of this environment, or of another one that is made from the same parts.
 
         Returns:
             The observation in that state.
@@ -320,7 +320,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         self._engine.hold()
 
     def rebase(self, robot: str | None = None) -> None:
-        """Make what follows count from the measured state: after devices were moved by somebody else, or taken over.
+        """Count from the measured state from now on: after a person or another program has moved the devices.
 
         A relative action that says "stay" then stays, and the bounds of a step count from here. An origin of relative
         actions moves here too.

@@ -1,4 +1,4 @@
-"""What bounds the motion of an environment's robots, for people to read before anything moves."""
+"""The limits of the motion of an environment's robots, to be read before anything moves."""
 
 from __future__ import annotations
 

@@ -66,9 +66,9 @@ class Observer(ABC):
         """
 
     def info(self) -> Mapping[str, Any]:
-        """Return what is to be in `info` of the present step; asked in every step of a single environment.
+        """Return entries for `info` of the present step, in every step of a single environment.
 
-        It is asked before the observer sees the step, and must answer at once.
+        It is called before the observer sees the step, and must return at once.
         """
         return {}
 

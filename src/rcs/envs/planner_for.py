@@ -32,7 +32,7 @@ class ScenePlanner(Planner):
             placement: The robot.
             speed: Share of the speed that the robot can do, for times.
             copy: The copy, in a world of copies.
-            options: Of `Planner`.
+            options: Options of `Planner`.
         """
         self._world, self._copy = world, copy
         self._layout = RobotLayout.of(placement, world.model)
@@ -109,7 +109,7 @@ def planner_for(env: Env, robot: str | None = None, **options: Any) -> ScenePlan
     Args:
         env: The environment.
         robot: Name of the robot; None for the only one.
-        options: Of `Planner`, such as `planner` and `margin`, and `speed`, the share of the robot's speed to use.
+        options: Options of `Planner`, such as `planner` and `margin`, and `speed`, the used share of the robot's.
 
     Raises:
         WrongOrder: The environment is not simulated.

@@ -15,10 +15,10 @@ if TYPE_CHECKING:  # setups name the kinds, and are made without the simulator
     from rcs.sim.world import World
 
 RewardKind = Literal["shaped", "dense", "sparse"]
-"""What a step pays; see `Rewards`."""
+"""Rule of the reward; see `Rewards`."""
 
 PROGRESS_SHARE, STILL_SHARE = 0.6, 0.2
-"""What the dense reward pays for the whole progress, and for an arm at rest with the object in place. ManiSkill 3's
+"""Dense reward for the whole progress, and for an arm at rest with the object in place. ManiSkill 3's
 PickCube-v1 has three terms for what is progress here, one for rest, and 5 at success; it is divided by 5."""
 STILLNESS = 5.0
 """How fast the pay for an arm at rest falls with the norm of its joint velocities [s/rad] (PickCube-v1)."""
@@ -50,7 +50,7 @@ class Rewards:
             world: The world.
             robots: Its robots, whose arms the dense reward wants at rest in the end.
             kind: The rule.
-            discount: What a reward one step later is worth, above 0; at most 1, and less for the dense reward.
+            discount: Worth of a reward one step later, above 0; at most 1, and less for the dense reward.
         """
         self._robots = robots
         self._kind = kind

@@ -46,7 +46,7 @@ Control = Literal["joints", "tquat", "xyzrpy", "twist"]
 """Kind of an arm's action."""
 
 Observed = Literal["torques", "wrench", "contacts", "privileged"]
-"""What an observation may have beside positions and frames."""
+"""Optional parts of an observation, beside positions and frames."""
 
 Arrays = Mapping[str, NDArray[Any]]
 """An action or the robot's part of an observation: one array per key, of any leading shape."""
@@ -84,7 +84,7 @@ TARGET = "target"
 VELOCITY = "velocity"
 
 ARM_KEYS = (JOINTS, TQUAT, TWIST)
-"""What an arm can be sent: joints, or where its controller leads the TCP, a pose or a twist."""
+"""Keys of an arm's targets: joints, or a pose or twist to which its controller leads the TCP."""
 
 LOADS: Mapping[Observed, str] = {"torques": JOINT_TORQUES, "wrench": TCP_WRENCH}
 """Keys of what measures forces on an arm."""

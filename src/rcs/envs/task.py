@@ -115,8 +115,8 @@ class Task(ABC):
         """Set area and options.
 
         Args:
-            area: Where objects may lie.
-            options: Of the task's class `Options`, or some of its fields by name; None for its defaults.
+            area: Area in which objects may lie.
+            options: Options of the task's class `Options`, or some of its fields by name; None for its defaults.
 
         Raises:
             InvalidSetup: An option is unknown, or a value is not valid.

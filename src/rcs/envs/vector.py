@@ -48,7 +48,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             stack: Ports and layers on (copies, ...) arrays.
             clock: Lets time pass.
             simulation: The world with its task.
-            setup: What the environment was made from.
+            setup: Setup of the environment.
             max_episode_steps: An episode is truncated after this many steps; None for no limit.
             autoreset: When a copy starts its next episode: in the step after its end, in the same step, or never by
                 itself.
@@ -59,7 +59,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         self._title = title
         self._has_seeds = False
         self.setup = setup
-        """What the environment was made from."""
+        """The setup that the environment was made from."""
         self.simulation = simulation
         """The simulated world and its task."""
         self.stack = stack
@@ -67,11 +67,11 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         self.frequency = clock.frequency
         """Control steps per second [Hz]."""
         self.instruction = simulation.task.instruction
-        """What the robot is asked to do."""
+        """The instruction for the robot."""
         self.robots: dict[str, RobotPlacement] = {one.placement.name: one.placement for one in simulation.robots}
         """Descriptions of the robots and where they stand, by name."""
         self.platform = dict.fromkeys(self.robots, "simulation")
-        """What every robot is: `simulation`."""
+        """Origin of every robot: `simulation`."""
         copies = simulation.world.copies
         self.num_envs = copies
         self.metadata = {"render_modes": [], "autoreset_mode": autoreset, "render_fps": max(1, round(clock.frequency))}
@@ -232,21 +232,21 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         return array
 
     def _tell_started(self, info: dict[str, Any], started: NDArray[np.bool_]) -> None:
-        """Add what the reset of a single environment tells and its steps do not."""
-        told: dict[str, Any] = {"instruction": np.full(self.num_envs, self.instruction, object)}
+        """Add the entries that the reset of a single environment has and its steps do not."""
+        added: dict[str, Any] = {"instruction": np.full(self.num_envs, self.instruction, object)}
         if drawn := self.simulation.randomisation:
-            told["randomisation"] = drawn
-        info.update(self._with_masks(told, started))
+            added["randomisation"] = drawn
+        info.update(self._with_masks(added, started))
 
-    def _with_masks(self, told: Mapping[str, Any], present: NDArray[np.bool_] | None = None) -> dict[str, Any]:
+    def _with_masks(self, values: Mapping[str, Any], present: NDArray[np.bool_] | None = None) -> dict[str, Any]:
         """Return info as gymnasium's vector environments have it: an array and the mask `_key` per key."""
         if present is None:
             present = np.ones(self.num_envs, np.bool_)
         info: dict[str, Any] = {
             key: self._with_masks(value, present) if isinstance(value, Mapping) else value
-            for key, value in told.items()
+            for key, value in values.items()
         }
-        info.update({f"_{key}": present for key in told})
+        info.update({f"_{key}": present for key in values})
         return info
 
     def close(self, **kwargs: Any) -> None:

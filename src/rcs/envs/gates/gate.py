@@ -38,7 +38,7 @@ class Gate(ABC):
         """Look up what the gate needs of the environment, before anything is opened or moves.
 
         Args:
-            parts: What the environment is made of.
+            parts: The parts of the environment.
             world: The simulated world; None where everything is real.
             compose: Puts the scene together anew: furniture, objects, robots, cameras.
         """
@@ -49,9 +49,9 @@ class Gate(ABC):
 
         Args:
             targets: Targets on the lowest level by robot, absolute: `joints` [rad], `gripper`, `hand`. A single robot
-                without a name is "". Of a batch, arrays (copies, ...). On its slow way to the start of an episode, and
+                without a name is "". For a batch, arrays (copies, ...). On its slow way to the start of an episode, and
                 always unless `native` is set, an arm has `joints`; else `tquat` or `twist`.
-            measured: What the robots measure at this moment, by the same names.
+            measured: Present measurements of the robots, by the same names.
 
         Raises:
             Refused: Nothing may move; the message says why. A batch has no refusals of single copies.
@@ -64,10 +64,10 @@ class Gate(ABC):
         """Some copies start anew, where they are measured."""
 
     def rebase(self, measured: Mapping[str, Observation]) -> None:  # noqa: B027
-        """What follows counts from the measured state: after a hold, or a push."""
+        """Count from the measured state from now on: after a hold, or a push."""
 
     def info(self) -> dict[str, Any]:
-        """Return what to tell of the last action in `info`."""
+        """Return the entries of `info` about the last action."""
         return {}
 
     def __str__(self) -> str:

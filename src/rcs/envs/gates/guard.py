@@ -69,7 +69,7 @@ class Guard(Gate):
         """Choose what is kept apart.
 
         Args:
-            on_hit: What follows when a way is not free. Copies of a batch are cut one by one, which is `clip`.
+            on_hit: Reaction to a way that is not free. Copies of a batch are cut one by one, which is `clip`.
             margin: Distance that robots keep from themselves, each other and everything else [m].
             near_margin: Distance that end effectors keep from the bodies in `near`, and links of a robot from each
                 other that are close by construction [m].
@@ -206,7 +206,7 @@ class Guard(Gate):
         Args:
             copy: The copy.
             here: All joints as measured, (dof,).
-            fingers: The same with the fingers where they are told to go.
+            fingers: The same with the fingers at their targets.
             goal: Targets of the arms, (*leading, dof) each.
         """
         self._require_scene().look(copy, here)
@@ -323,10 +323,10 @@ class _Part:
         must_hold: bool = False,
     ) -> None:
         self.fraction = fraction
-        """Of the way from what was commanded last."""
+        """Share of the way from the last command."""
         self.why = why
-        """What is in the way; empty for nothing."""
+        """The obstacle in the way; empty for none."""
         self.rest = rest
-        """Where the arms come to rest when they brake now, where not even the last command may be gone on with."""
+        """Joints at which the arms come to rest when they brake now, where even the last command may not continue."""
         self.must_hold = must_hold
         """Whether the arms must brake now, as nothing else is free."""

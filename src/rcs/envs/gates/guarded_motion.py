@@ -1,4 +1,4 @@
-"""What all arms are about to do, as a guard looks at it: where they are led in a step and while they then brake.
+"""The motion of all arms that a guard checks: their way in a step, and while they brake after it.
 
 Simulated arms are asked: their motions say what the next step will be, to the bit. A real arm is followed by the same
 law of motion, from where it was measured last at rest and by the targets that it was sent.
@@ -33,7 +33,7 @@ class GuardedMotions:
 
         Args:
             robots: The robots.
-            world: Where those are that are simulated.
+            world: World of the simulated ones.
             real: Names of the robots whose arms are not.
             period: Control period [s].
         """
@@ -79,7 +79,7 @@ class GuardedMotions:
     def ways(self, copy: int, targets: Joints | None) -> list[NDArray[np.float64]]:
         """Return where every arm is led in a step to targets and while it then brakes to rest, (n, dof) each.
 
-        Places are `TICK` apart at most, and of the same times for all arms. Without targets, all are told to hold.
+        Places are `TICK` apart at most, and of the same times for all arms. Without targets, all hold.
         """
         ways: list[NDArray[np.float64]] = []
         for name in self._names:

@@ -71,12 +71,12 @@ class GuardedScene:
         Args:
             compose: Puts the scene together.
             robots: Its robots.
-            world: Where its objects are; None for where they are in the files.
+            world: World with its objects; None for their places in the files.
             margin: Distance that is kept [m].
             near_margin: Distance that is kept where work brings things together [m].
             near: Bodies that end effectors may approach up to `near_margin`; None for the table, if there is one.
             touch: Bodies that end effectors may touch.
-            ignore: Bodies that all of the robots may touch, because nobody knows where they are.
+            ignore: Bodies that all of the robots may touch, because their places are unknown.
             allow: More bodies that may touch, in pairs.
             workspace: Box that end effectors may not leave; None for none.
 
@@ -130,11 +130,11 @@ class GuardedScene:
                 getattr(self._model, name)[: len(values)] = values
                 self._geometry[name] = values.copy()
         self.far = self._checker([*self._allowed, *self._near])
-        """What keeps the margin."""
+        """Pairs that keep the margin."""
         bodies = self._model.geom_bodyid[self.far.pairs]
         kept = [(self._model.body(a).name, self._model.body(b).name) for a, b in np.unique(bodies, axis=0)]
         self.near = self._checker([*self._allowed, *kept])
-        """What work brings together."""
+        """Pairs that work brings together."""
 
     def _checker(self, allowed: Iterable[tuple[str, str]]) -> CollisionChecker:
         checker = CollisionChecker(self._model, self._joints)
@@ -204,7 +204,7 @@ class GuardedScene:
         """Return all joints along a way [rad, m], (n, dof).
 
         Args:
-            ways: Where every arm is led along it, (n, dof) each.
+            ways: Joints of every arm along it, (n, dof) each.
             fingers: All joints along it, of which those of fingers are taken, and those of arms where it begins,
                 (n, dof).
         """

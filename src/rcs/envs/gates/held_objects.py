@@ -1,4 +1,4 @@
-"""Which objects end effectors hold, as the geometry of a scene tells: those that two of its bodies touch."""
+"""Objects that end effectors hold by the geometry of a scene: those that two of its bodies touch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rcs.sim.scene import RobotPlacement
 from rcs.spatial import Pose
 
 TOUCH = 1e-3
-"""What is this close to an object touches it [m]: soft fingers and contacts give way by less."""
+"""Distance up to which a body touches an object [m]: soft fingers and contacts give way by less."""
 
 
 class HeldObjects:
@@ -24,7 +24,7 @@ class HeldObjects:
         Args:
             model: The scene; its geometry may change later.
             objects: Bodies that may be held; those without a free joint never are.
-            robots: Who may hold them.
+            robots: Robots that may hold them.
         """
         self._model, self._data = model, mujoco.MjData(model)
         bodies = [model.body(name) for name in objects]

@@ -21,7 +21,7 @@ DEVIATION = 0.12
 KEPT = 0.7
 """Share of the noise that is left in the next step."""
 MOST = 2.0
-"""What moves farther in a step, or faster [m, rad, m/s, rad/s], is no relative action of a TCP."""
+"""Largest motion in a step, and speed, of a relative action of a TCP [m, rad, m/s, rad/s]."""
 STRETCH, DISTURBED = 8, 0.6
 """Steps in which noise comes or does not, and the share of such stretches in which it does."""
 

@@ -16,7 +16,7 @@ from rcs.kinematics.chain import POSE
 from rcs.spatial import compose, inverse, tquat_to_xyzrpy, xyzrpy_to_tquat
 
 KEPT = [0, 1, 2, 5]
-"""Of translation and roll, pitch, yaw: what is left."""
+"""Indices of the components that are left of translation and roll, pitch, yaw."""
 
 
 class KeepTilt(Layer):

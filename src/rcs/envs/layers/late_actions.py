@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class LateActions(Layer):
     """Send the last action once more in some steps, drawn at random; the action itself comes with the next step.
 
-    Layers above do not notice: what they asked for is on its way. `info["is_late"]` tells it, and a recording has what
-    was sent as the executed action. The lowest layer of a simulated robot.
+    Layers above do not notice, because their action is on its way. `info["is_late"]` reports it, and a recording has
+    the sent action as the executed one. It is the lowest layer of a simulated robot.
     """
 
     memory = ("_keys", "_steps", "_is_late", "_last")
@@ -38,7 +38,7 @@ class LateActions(Layer):
         self._is_late: NDArray[np.bool_] = np.zeros(leading, np.bool_)
         self._last: Action = {}
         self._mapped: tuple[Action, Action, NDArray[np.bool_]] | None = None
-        """Of the last `map_action`: what was asked, what was sent, and which copies are late."""
+        """Requested and sent action of the last `map_action`, and the copies that are late."""
 
     def begin(self, random: EpisodeRandom, copies: Copies = None) -> None:
         """Take the random numbers of some copies' next episodes.
@@ -52,7 +52,7 @@ class LateActions(Layer):
         self._keys = keys
 
     def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
-        """Count steps from 0; before the first action, the robot was told to stay."""
+        """Count steps from 0; the robot stays before the first action."""
         self._last = {key: renew(self._last.get(key), value, where) for key, value in _commandable(observation).items()}
         self._steps = renew(self._steps, np.zeros_like(self._steps), where)
         self._is_late = renew(self._is_late, np.zeros_like(self._is_late), where)
@@ -74,7 +74,7 @@ class LateActions(Layer):
         return sent
 
     def map_executed(self, executed: Action) -> Action:
-        """Return what was asked, unless something else was sent than this layer wanted to."""
+        """Return the requested action, unless another one was sent than this layer chose."""
         if self._mapped is None:
             raise RuntimeError("LateActions.map_executed was called before map_action")
         asked, sent, is_late = self._mapped

@@ -44,8 +44,8 @@ class LimitStep(Layer):
             max_step: Largest change of the target per action [rad], shape (dof,).
             max_lead: Largest distance of the target from the measured joint [rad], shape (dof,), or one for all; see
                 `MotionLimits.lead`. With less, the arm cannot come to its full speed.
-            lower: Where the range of each joint begins [rad], shape (dof,), or one for all.
-            upper: Where it ends.
+            lower: Lower end of the range of each joint [rad], shape (dof,), or one for all.
+            upper: Upper end of the range.
             max_return: Largest change of a target that is outside of it, per action [rad].
         """
         self.max_step = np.asarray(max_step, np.float64)
@@ -87,7 +87,7 @@ class LimitStep(Layer):
         asked = action[JOINTS]
         cut = limit_rows(asked, self._target, self._measured, *self._bounds)
         if cut is None:
-            # Returning the same array tells the layers above that nothing was cut.
+            # Returning the same array shows the layers above that nothing was cut.
             self._is_cut = np.zeros(self._is_limited.shape, np.bool_)
             return action
         target, self._is_cut = cut

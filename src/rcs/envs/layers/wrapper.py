@@ -53,5 +53,5 @@ class LayerWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         observation, reward, terminated, truncated, info = self.env.step(mapped)
         # A foreign environment does not report executed actions; they count as given.
         self._layer.map_executed(mapped)
-        told = {key: np.asarray(value).item() for key, value in self._layer.info().items()}
-        return self._layer.map_observation(observation), reward, terminated, truncated, {**info, **told}
+        info_of_layer = {key: np.asarray(value).item() for key, value in self._layer.info().items()}
+        return self._layer.map_observation(observation), reward, terminated, truncated, {**info, **info_of_layer}

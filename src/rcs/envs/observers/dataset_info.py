@@ -43,7 +43,7 @@ def dataset_info(
 
     Args:
         env: The environment, or a batch of copies of one.
-        instruction: What the robot is asked to do; None for the environment's instruction.
+        instruction: Instruction for the robot; None for the environment's instruction.
         colour: Encoding of colour frames; docs/data.md compares sizes and quality. Videos are made when an episode is
             finished.
         jpeg_quality: JPEG quality of colour frames, 1 to 100.

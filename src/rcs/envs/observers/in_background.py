@@ -147,5 +147,5 @@ class _Call:
 
 
 def _own(transition: Transition) -> Transition:
-    """Return a transition whose dictionaries nobody else changes; arrays are written once and shared."""
+    """Return a transition whose dictionaries are its own; arrays are written once and shared."""
     return replace(transition, observation=dict(transition.observation), info=dict(transition.info))

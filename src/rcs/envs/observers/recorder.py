@@ -99,7 +99,7 @@ class Recorder(Observer):
 
         Args:
             episode_id: The name of its folder.
-            instruction: What the robot is asked to do; None for the dataset's instruction.
+            instruction: Instruction for the robot; None for the dataset's instruction.
             at_reset: Whether it begins with the next reset, or already with the next step.
         """
         self._next = (episode_id, instruction)
@@ -211,15 +211,15 @@ class Recorder(Observer):
             success: Whether the task was done; None if that is not known.
             outcome: What else is to be kept of how it went, as JSON values; where the objects were at the start is
                 added as `objects`.
-            instruction: What the robot was asked to do; None for what was said at the start.
+            instruction: Instruction for the robot; None for that of the start.
 
         Raises:
             WrongOrder: No episode is open.
         """
         if self._episode is None:
             raise WrongOrder("There is no open episode to finish; reset the environment first.")
-        told = {**self._objects, **self._broken_off, **(outcome or {})}
-        record = self._episode.finish(success, told, instruction=instruction)
+        facts = {**self._objects, **self._broken_off, **(outcome or {})}
+        record = self._episode.finish(success, facts, instruction=instruction)
         self._episode = None
         return record
 
@@ -245,7 +245,7 @@ class Recorder(Observer):
             self._broken_off = {END: end, REASONS: dict(reasons)}
 
     def close(self) -> None:
-        """Keep what is open, without a verdict; `outcome["end"]` says why it ended."""
+        """Keep the open episode without a verdict; `outcome["end"]` has the reason for its end."""
         if self._episode is not None and not self._broken_off:
             self._broken_off = {END: "closed"}
         self._let_go()

@@ -42,7 +42,7 @@ class Takes:
         """Begin a take and return its id.
 
         Args:
-            instruction: What the robot is asked to do; None for the dataset's instruction.
+            instruction: Instruction for the robot; None for the dataset's instruction.
             at_reset: Whether to wait for the next reset, instead of beginning with the next step.
 
         Raises:
@@ -60,7 +60,7 @@ class Takes:
 
         Args:
             success: Whether the task was done; None for no verdict.
-            outcome: What else to keep about how it went, as JSON values.
+            outcome: Other facts about the take, as JSON values.
 
         Raises:
             WrongOrder: No take is under way, or it has no observation yet.

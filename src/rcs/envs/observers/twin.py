@@ -30,12 +30,12 @@ PHYSICS_STEP = 0.002
 """Time step of the twin's physics [s]."""
 
 OnAlarm = Literal["info", "hold"]
-"""What an alarm does: it is in `info["twin"]`; or besides, all devices enter their fault state and hold."""
+"""Effect of an alarm: it is in `info["twin"]`; with `hold`, all devices also enter their fault state and hold."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Alarm:
-    """A robot does not do what it is told."""
+    """A robot that does not follow its targets."""
 
     robot: str
     """Its name."""

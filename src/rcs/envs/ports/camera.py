@@ -37,14 +37,14 @@ RECONNECT = 1.0
 class CameraFeedThread:
     """Reads one camera on a thread of its own, and opens it again when it fails.
 
-    All calls of the driver that may block are on the thread, so that nobody waits for them without limit.
+    All calls of the driver that may block are on the thread, so that no caller waits for them without limit.
     """
 
     def __init__(self, name: str, camera: Camera, take: Callable[[Frame], dict[str, Any]]) -> None:
         """Read nothing yet.
 
         Args:
-            name: Of the camera in the setup.
+            name: Name of the camera in the setup.
             camera: The device.
             take: Makes the observation of a frame, on the thread.
         """
@@ -175,7 +175,7 @@ class CameraPort(Port):
             descriptions: Their figures by name; of a camera without, such as that of a tactile sensor, there are
                 colours alone.
             size: Width and height of every frame [px]; larger pictures are cut to its shape and made smaller.
-            calibrations: From a file, by name; cameras without one see as the device says, or the data sheet.
+            calibrations: Calibrations from a file, by name; others are those of the device, or of the data sheet.
             extrinsics: Poses of cameras that stand still, (4, 4), OpenCV axes; those of others come from a layer.
             stale_after: Age of a frame from which a camera is stale [s].
             on_stale: `fault` ends the episode when a camera is stale; see `Site`.
@@ -223,7 +223,7 @@ class CameraPort(Port):
             feed.open()
         self._learn()
         for name, feed in self._feeds.items():
-            # The first frame came before the device was asked how it sees.
+            # The first frame was taken before the device was asked for its calibration.
             assert feed.newest is not None, "open waits for a frame"
             feed.newest = {**feed.newest[0], **self._takers[name].fixed}, feed.newest[1]
 
@@ -310,11 +310,11 @@ class FreshFrames(Gate):
 
 
 class _Taker:
-    """Makes the observation of a device's frame: cut to the shape that is asked for, and scaled."""
+    """Makes the observation of a device's frame: cut to the requested shape, and scaled."""
 
     def __init__(self, camera: Camera, size: tuple[int, int], fixed: Mapping[str, NDArray[np.float64]]) -> None:
         self.fixed = dict(fixed)
-        """What every frame has besides pixels; replaced as a whole."""
+        """Entries of every frame besides pixels; replaced as a whole."""
         self._size = size
         self._crop = cropped((camera.mode.width, camera.mode.height), size)
         height, width = (edge.stop - edge.start for edge in self._crop)

@@ -108,7 +108,7 @@ class DeviceCalls(Generic[State]):
         return state
 
     def forget(self) -> None:
-        """Forget a command that waits: the device is held, by whoever says this."""
+        """Drop a command that waits; the caller holds the device."""
         self._holds += 1
         self._waiting.clear()
 

@@ -1,4 +1,4 @@
-"""How old a measurement is: what a library repeats after the cable is out must not look new."""
+"""Ages of measurements: an answer that a library repeats after the cable is out must not look new."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ An arm that stands still may well measure the same again and again: encoders cou
 
 
 class Freshness:
-    """Tells when a device last measured something new, and sets its fault when that is too long ago.
+    """Knows when a device last measured something new, and sets its fault when that is too long ago.
 
     A repeat shows in the device's own clock, `device_time`, which stands still, or in the age that its driver gives,
     `time`. An arm that has neither is known to repeat when its target moves and nothing else does.
@@ -43,8 +43,8 @@ class Freshness:
         """Look at what was measured; the device is in its fault state after it if that is too old.
 
         Args:
-            state: What the device has measured.
-            target: Where an arm was sent last [rad], shape (dof,); None for nowhere yet.
+            state: Measurement of the device.
+            target: Last target of an arm [rad], shape (dof,); None before the first.
         """
         has_clock = math.isfinite(state.device_time)
         mark = state.device_time if has_clock else _numbers(state)

@@ -70,24 +70,24 @@ class PrivilegedPort(Port):
         """Look up the objects of a task that is bound to its world, and have rigid ones read out.
 
         Raises:
-            InvalidSetup: The task tells no poses of objects, or one has the name of no body.
+            InvalidSetup: The task has no poses of objects, or one has the name of no body.
         """
-        told, task_name = task.object_poses(), type(task).__name__
-        if not told and task.objects():
+        poses, task_name = task.object_poses(), type(task).__name__
+        if not poses and task.objects():
             raise InvalidSetup(
                 f"observe=('privileged',) shows the objects of {task_name}.object_poses, which it does not define; it "
                 f"has {', '.join(map(repr, task.objects()))} in objects. Have object_poses return the pose of each in "
                 "the scene by its name, (*leading, 7), or leave 'privileged' out of observe."
             )
-        if not told:
+        if not poses:
             raise InvalidSetup(f"{task_name} has no objects to observe; leave 'privileged' out of observe.")
         bodies = {world.model.body(body).name for body in range(world.model.nbody)}
-        if unknown := sorted(told.keys() - bodies):
+        if unknown := sorted(poses.keys() - bodies):
             raise InvalidSetup(
                 f"{task_name}.object_poses names {unknown[0]!r}, and the scene has no body of that name; it has "
                 f"{', '.join(sorted(task.objects()))}."
             )
-        self._objects = {name: _motion_of(world, robots, task, name) for name in told}
+        self._objects = {name: _motion_of(world, robots, task, name) for name in poses}
         own = spaces.Dict({keys.TQUAT: keys.object_space(), keys.VELOCITY: keys.twist_space()})
         self.observation_spaces = {keys.PRIVILEGED: spaces.Dict(dict.fromkeys(self._objects, own))}
 

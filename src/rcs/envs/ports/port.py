@@ -46,7 +46,7 @@ class Port(ABC):
     joint_space: spaces.Box | None = None
     """Space of the joint targets of an arm."""
     timed: tuple[str, ...] = ()
-    """What `capture_times` has an entry for, such as `joints` or `frames/wrist`."""
+    """Keys of `capture_times`, such as `joints` or `frames/wrist`."""
     memory: tuple[str, ...] = ()
     """Attributes that decide what follows, of a simulated device; see `Layer.memory`."""
     stale_after: float | None = None
@@ -56,7 +56,7 @@ class Port(ABC):
 
     @property
     def about(self) -> Mapping[str, Any]:
-        """What recordings keep about the port's sensors, as JSON values: dictionaries by name under each key."""
+        """Facts about the port's sensors for recordings, as JSON values: dictionaries by name under each key."""
         return {}
 
     def command(self, action: Arrays) -> None:  # noqa: B027  a sensor takes no commands
@@ -263,7 +263,7 @@ class EffectorPort(Port):
 
         Args:
             device: The device.
-            key: Of its actions and observations.
+            key: Key of its actions and observations.
             count: How many numbers it takes and gives.
             send: Sends it as many, for some seconds.
             valid_for: How long a command is valid without another; then the device holds [s].

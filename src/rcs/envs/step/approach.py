@@ -34,12 +34,12 @@ MayMove = bool | Callable[[str], bool]
 
 @dataclass(frozen=True, kw_only=True)
 class Approach:
-    """Where real robots are to go before an episode begins, and who has agreed."""
+    """The start to which real robots go before an episode, and the permission to move."""
 
     robots: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict[str, dict[str, NDArray[Any]]])
     """For robots by name: `joints` [rad], and `gripper` or `hand`, which follows when the arm has arrived."""
     may_move: MayMove | None = None
-    """Whether they may go; None where nobody can be asked."""
+    """Whether they may go; None where no person can be asked."""
     speed: float = SPEED
     """Largest speed of a joint as a share of its limit, above 0 and up to 1."""
 
@@ -112,8 +112,8 @@ class Approach:
             clock.advance()
             end = stack.measure()
             if faults := stack.faults():
-                told = "; ".join(f"{name}: {why}" for name, why in faults.items())
-                raise DeviceFault(f"On the way to the start: {told}.")
+                listed = "; ".join(f"{name}: {why}" for name, why in faults.items())
+                raise DeviceFault(f"On the way to the start: {listed}.")
         for way in ways:
             apart = np.abs(end[way.chain][keys.JOINTS] - way.goal)
             if apart.max() > APART:
@@ -184,7 +184,7 @@ class Approach:
 
 @dataclass(frozen=True, kw_only=True)
 class _Way:
-    """Where one robot goes."""
+    """The way of one robot."""
 
     name: str
     chain: str

@@ -1,4 +1,4 @@
-"""What lets time pass, once per step, for all devices together."""
+"""The clock, which lets time pass once per step for all devices together."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STEP_LIMIT = 10.0
 """Longest synchronous step [s], when nothing else is said."""
 
 ROUNDING = 1e-9
-"""Nobody waits for less than this [s]."""
+"""Shortest time to wait [s]."""
 
 
 class Clock:

@@ -27,7 +27,7 @@ from rcs.errors import DeviceFault, InvalidAction, Refused, WrongOrder
 from rcs.sim.world import Copies
 
 Approaches = Callable[[Stack, Clock, Callable[[], bool]], None]
-"""Moves real robots slowly, unless the last argument says that they are told to hold."""
+"""Moves real robots slowly, until the last argument returns True because they must hold."""
 
 
 class Engine:
@@ -84,7 +84,7 @@ class Engine:
         Args:
             copies: Which; None for all.
             state: Simulation state to start in, of a world of one copy.
-            start: Where robots and objects are at the start, of a world of one copy.
+            start: Places of robots and objects at the start, of a world of one copy.
             approach: Moves real robots to their start; None for leaving them where they are.
         """
         copies = copies if self._is_started else None
@@ -171,7 +171,7 @@ class Engine:
     # --- A step -------------------------------------------------------------------------------------------------------
 
     def step(self, action: Any, starting: NDArray[np.bool_] | None = None) -> Step:
-        """Command all devices, let one control step pass, observe, judge, and tell the observers.
+        """Command all devices, let one control step pass, observe, judge, and notify the observers.
 
         Args:
             action: One array per key of the action space.
@@ -186,7 +186,7 @@ class Engine:
         except BaseException as err:
             if isinstance(err, InvalidAction) and not self._is_commanded:
                 raise  # nothing was sent, nothing is remembered
-            # Nothing goes on moving unwatched, also when a second Ctrl-C comes while the devices are told to hold.
+            # Nothing goes on moving unwatched, also when a second Ctrl-C comes while the devices are made to hold.
             try:
                 self._break_off(err)
             except KeyboardInterrupt:
@@ -259,7 +259,7 @@ class Engine:
         return step
 
     def _repeat(self) -> None:
-        """Tell all devices their targets again, unless they were told to hold; another thread may say so meanwhile."""
+        """Send all devices their targets again, unless they must hold; another thread may decide that meanwhile."""
         if not self._must_rebase:
             self.stack.repeat()
             if self._must_rebase:
@@ -314,7 +314,7 @@ class Engine:
             self.observers.on_end(FAULT, reasons, copy=int(copy))
 
     def _hold_in_fault(self, faults: dict[str, str]) -> None:
-        """Have all devices hold; one that refuses in its fault state is told in `faults`."""
+        """Have all devices hold; a refusal in the fault state is added to `faults`."""
         self._must_rebase = True
         try:
             self.stack.hold()
@@ -322,7 +322,7 @@ class Engine:
             faults["hold"] = f"{type(err).__name__}: {err}"
 
     def _end_without_row(self, faults: dict[str, str]) -> Step:
-        """End the episode in a step that not all devices took part in: observers are told its end, but see no step."""
+        """End the episode in a step that not all devices took part in: observers see its end, but no step."""
         self.is_over = np.ones(self.leading, np.bool_)
         self.observers.on_end(FAULT, faults)
         try:
@@ -337,7 +337,7 @@ class Engine:
         )  # fmt: skip
 
     def _break_off(self, error: BaseException) -> None:
-        """Have all devices hold after an error, end the episodes, and tell the observers."""
+        """Have all devices hold after an error, end the episodes, and notify the observers."""
         self._must_rebase = True
         calls: list[Callable[[], None]] = [self.stack.hold]
         # A device that refuses an action is no reason to end the episode: the next one may be better.

@@ -1,4 +1,4 @@
-"""What a step led to: reward, ends and info, from the state after it."""
+"""The judgement of a step: reward, ends and info, from the state after it."""
 
 from __future__ import annotations
 

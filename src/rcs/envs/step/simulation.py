@@ -43,16 +43,16 @@ class Simulation:
         Args:
             world: A world fresh from its model.
             robots: Its robots.
-            task: What to do in it.
+            task: The task.
             randomiser: Varies the world from episode to episode; None for a constant world.
             frame_clock: The cameras' clock, which needs the episode's random numbers; None without cameras.
-            clutter: What else lies about; None for nothing.
-            reward: What a step pays.
-            discount: What a reward one step later is worth to the learner.
+            clutter: Other objects in the scene; None for none.
+            reward: Rule of the reward.
+            discount: Worth of a reward one step later to the learner.
         """
         self.world = world
         self.randomisers = [] if randomiser is None else [randomiser]
-        """What varies the world, in this order."""
+        """The randomisers of the world, in their order."""
         self.frame_clock = frame_clock
         """The cameras' clock; None without cameras."""
         self.robots = robots
@@ -161,15 +161,15 @@ class Simulation:
             InvalidSetup: It is not a finite number for each copy.
         """
         if reward.shape != self.world.leading:
-            told = f"a reward of the shape {reward.shape}; valid is {self.world.leading}, a number for each copy"
+            wrong = f"a reward of the shape {reward.shape}; valid is {self.world.leading}, a number for each copy"
         elif not (np.isfinite(reward).all() if self.world.leading else math.isfinite(reward)):
-            told = "a reward that is not finite"
+            wrong = "a reward that is not finite"
         else:
             return
         parts = ", ".join(
             f"{name} {value}" for name in ("progress", "reward") if (value := getattr(judgement, name)) is not None
         )
-        raise InvalidSetup(f"{type(self.task).__name__}.evaluate leads to {told}. It returned {parts}.")
+        raise InvalidSetup(f"{type(self.task).__name__}.evaluate leads to {wrong}. It returned {parts}.")
 
     def judge_start(self, copies: Copies) -> None:
         """Have the rewards of some copies' episodes count from the present state."""
@@ -182,10 +182,10 @@ class Simulation:
 
     def describe(self) -> dict[str, Any]:
         """Return the info of the first observation of an episode."""
-        told: dict[str, Any] = dict(self.task.describe())
+        info: dict[str, Any] = dict(self.task.describe())
         if self.randomisers:
-            told["randomisation"] = self.randomisation
-        return told
+            info["randomisation"] = self.randomisation
+        return info
 
     def __str__(self) -> str:
         """Return the task's name and the number of copies."""

@@ -30,13 +30,13 @@ class EnvState:
     """States of one or several copies of an environment. It survives pickling; `state[i]` is that of one copy."""
 
     origin: Mapping[str, Any]
-    """What the environment is, to tell it from others."""
+    """Description of the environment, by which it differs from others."""
     world: NDArray[np.float64]
     """State of the simulation, what its callbacks remember and what was read out, (copies, values)."""
     episode: dict[str, Rows]
     """Seed and number of the episode, steps so far, whether it is over."""
     memory: dict[str, Rows]
-    """What layers, task, random draws and cameras remember."""
+    """Memory of layers, task, random numbers and cameras."""
     fields: dict[str, Rows]
     """Fields of the model that differ between copies or episodes, such as sizes and colours."""
 
