@@ -147,7 +147,7 @@ def test_a_server_of_openpi_is_run_with_metadata_from_a_file(env: Env, tmp_path:
         assert (observation["joints"] - start["joints"] > 0.02).all()
         agent.close()
         server.shutdown()
-    with pytest.raises(InvalidSetup, match="tells its metadata by itself"):
+    with pytest.raises(InvalidSetup, match="sends its own metadata"):
         ServedPolicy(address="vla://127.0.0.1:1", described_in=str(path)).connect()
 
 

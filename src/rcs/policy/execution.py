@@ -62,23 +62,22 @@ class PolicyCall:
             compute: Calls the policy.
             start: When, in the time of the loop [s].
         """
-        self._compute, self.start = compute, start
+        self._compute, self.start, self._begin = compute, start, time.perf_counter()
         self.plan: ChunkPlan | None = None
         """The result; None after an error."""
         self.error: Exception | None = None
         """The error, if there was one."""
         self.seconds = 0.0
-        """Duration by the wall clock [s]."""
+        """Time from the question to the result by the wall clock [s]."""
         self.is_done = threading.Event()
 
     def run(self) -> None:
         """Call the policy."""
-        begin = time.perf_counter()
         try:
             self.plan = self._compute()
         except Exception as err:  # noqa: BLE001  whatever it is, the robot holds and the log says why
             self.error = err
-        self.seconds = time.perf_counter() - begin
+        self.seconds = time.perf_counter() - self._begin
         self.is_done.set()
 
 
