@@ -16,4 +16,8 @@ from rcs.rollout.free_path import FreePath as FreePath
 from rcs.rollout.operator import Operator as Operator
 from rcs.rollout.operator import TerminalOperator as TerminalOperator
 from rcs.rollout.operator import VirtualOperator as VirtualOperator
+from rcs.rollout.real_to_sim import real_to_sim as real_to_sim
+from rcs.rollout.reexecute import reexecute as reexecute
 from rcs.rollout.replay import replay as replay
+from rcs.rollout.replay_scene import Appearance as Appearance
+from rcs.rollout.rerender import rerender as rerender
