@@ -8,7 +8,6 @@ thread pool without the GIL, and its result does not depend on the number of thr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from fractions import Fraction
 from typing import Any, Literal, NamedTuple
 
 import mujoco
@@ -16,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs import _core
-from rcs._core import StepCallback, StepView
+from rcs._core import StepCallback, StepEnd, StepView
 from rcs.errors import InvalidSetup, SimulationError
+from rcs.sim.control_period import control_period
 
 Stepping = Literal["async", "sync", "realtime"]
 """How long a step lasts: one control period of simulated time, until converged, or one on the wall clock."""
@@ -30,12 +30,6 @@ StepFunction = Callable[[StepView], bool | None]
 
 MOST = 2**31 - 1
 """Largest number of copies and of threads."""
-
-LOWEST_FREQUENCY = 1e-6
-"""Lowest control rate [Hz]: one step in eleven days."""
-
-SHORTEST_PHYSICS_STEP = 1e-9
-"""Shortest time step of the physics [s], the resolution of control periods."""
 
 DIVERGENCE = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -134,6 +128,14 @@ class World:
         """Number of copies."""
         return self.core.copies
 
+    def converge_when(self, is_done: StepFunction) -> None:
+        """End a synchronous step when this and all other such functions return True."""
+        self.core.converge_when(Callback(is_done))
+
+    def interrupt_when(self, is_reason: StepFunction) -> None:
+        """End a synchronous step as soon as a function returns True; an asynchronous step only reports it in `ends`."""
+        self.core.interrupt_when(Callback(is_reason))
+
     def on_period(self, function: StepFunction, period: float) -> None:
         """Call a function at a rate of simulated time, of every copy; True interrupts the step.
 
@@ -142,6 +144,11 @@ class World:
             period: Time between two calls [s], a multiple of the time step of the physics.
         """
         self.core.on_period(Callback(function), period)
+
+    @property
+    def ends(self) -> list[StepEnd]:
+        """Reasons for the end of the last step, by copy."""
+        return [StepEnd(int(end)) for end in self.core.ends]
 
     @property
     def substeps(self) -> NDArray[np.int32]:
@@ -377,23 +384,3 @@ def require_count(name: str, value: Any, least: int) -> None:
     """
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= MOST:
         raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least} to {MOST}.")
-
-
-def control_period(frequency: float, physics_step: float) -> Fraction:
-    """Return the control period in physics steps as an exact ratio, so that the mean rate is exact.
-
-    Args:
-        frequency: Control steps per second [Hz].
-        physics_step: Time step of the physics [s].
-
-    Raises:
-        InvalidSetup: The frequency is too low or higher than that of the physics, or the physics has no time step.
-    """
-    if not (np.isfinite(physics_step) and physics_step >= SHORTEST_PHYSICS_STEP):
-        raise InvalidSetup(f"The model's time step is {physics_step} s; it must be at least {SHORTEST_PHYSICS_STEP} s.")
-    if not (np.isfinite(frequency) and LOWEST_FREQUENCY <= frequency <= 1 / physics_step + 1e-9):
-        raise InvalidSetup(
-            f"frequency is {frequency} Hz; valid is from {LOWEST_FREQUENCY} Hz up to the physics' "
-            f"{1 / physics_step:g} Hz."
-        )
-    return 1 / (Fraction(frequency).limit_denominator(10**6) * Fraction(physics_step).limit_denominator(10**9))
