@@ -10,7 +10,8 @@ import pytest
 
 import rcs
 from rcs.errors import InvalidSetup
-from rcs.tasks.obstacles import FARTHEST, NEAREST
+from rcs.sim.scene import FLOOR_HEIGHT
+from rcs.tasks.obstacles import FARTHEST, HALF_HEIGHT, NEAREST
 
 
 def posts(world: rcs.sim.World) -> np.ndarray:
@@ -33,6 +34,15 @@ def test_posts_stand_around_the_cuboid_and_leave_everything_else_as_it_is() -> N
             assert standing.any()
             assert (apart[standing] >= NEAREST - 1e-9).all()
             assert (apart[standing] <= FARTHEST + 1e-9).all()
+
+
+def test_a_post_stands_on_the_table_or_where_there_is_no_room_on_the_floor() -> None:
+    with rcs.make("PickCuboid", robot="fr3", task_options={"obstacles": 8}) as env:
+        env.reset(seed=0)
+        height = env.simulation.world.core.component(mujoco.mjtState.mjSTATE_MOCAP_POS.value).reshape(-1, 3)[:, 2]
+        bottoms = height - HALF_HEIGHT
+        assert (np.isclose(bottoms, 0.0) | np.isclose(bottoms, FLOOR_HEIGHT)).all()
+        assert np.isclose(bottoms, 0.0).any()
 
 
 def test_copies_have_the_posts_of_single_environments() -> None:

@@ -182,3 +182,18 @@ def test_a_hash_tells_checkpoints_apart(tmp_path: Path) -> None:
     assert a == b != c
     with pytest.raises(InvalidInput, match="cannot be made"):
         catalogue.load("random", "runs/a")
+
+
+def test_a_scripted_policy_is_what_its_function_makes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "scripts.py").write_text(
+        "from vlagents import Metadata, PartSpec\n"
+        "from vlagents.policies.scripted import ScriptedPolicy\n"
+        "def nod():\n"
+        "    return ScriptedPolicy(lambda seen, told: [1.0], Metadata('nod', (PartSpec('joints', 1),), rate=5.0))\n"
+        "def number():\n"
+        "    return 3\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert catalogue.load("scripted", "scripts:nod").infer(Observation()).actions.tolist() == [[1.0]]
+    with pytest.raises(InvalidInput, match="made int; valid is a ScriptedPolicy"):
+        catalogue.load("scripted", "scripts:number")

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
+import vlagents
 from vlagents import ImageSpec, InvalidInput, Metadata, Offer, PartSpec, differences
 
 METADATA = Metadata(
@@ -77,3 +80,17 @@ def test_dictionaries_that_are_no_metadata_are_refused() -> None:
     ):
         with pytest.raises(InvalidInput):
             Metadata.from_dict(given)
+
+
+@pytest.mark.parametrize("record", [METADATA, OFFER, PartSpec("joints", 7), ImageSpec("side")])
+def test_records_cannot_be_changed(record: object) -> None:
+    with pytest.raises(AttributeError):
+        record.name = "other"  # type: ignore[attr-defined]
+
+
+def test_vlagents_names_what_is_used_most_and_imports_it_when_it_is_used() -> None:
+    code = "import sys, vlagents; assert 'vlagents.server' not in sys.modules; vlagents.Server, vlagents.Client"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    assert callable(vlagents.connect)
+    with pytest.raises(AttributeError, match="no attribute 'Servr'"):
+        vlagents.Servr  # noqa: B018

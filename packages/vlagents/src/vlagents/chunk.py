@@ -1,4 +1,4 @@
-"""What a policy answers: the actions of the next moments."""
+"""The answer of a policy: the actions of the next moments."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from vlagents.errors import InvalidInput
 class Chunk:
     """Actions in physical units, one row per moment, from the time of the observation on.
 
-    Row i is for the time from `time + i · period` to `time + (i + 1) · period`. Who executes a chunk picks by time, not
-    by count: an answer that comes late then skips what is over, and does not lag.
+    Row i is for the time from `time + i · period` to `time + (i + 1) · period`. Rows are executed by time, not count:
+    a late answer then skips the rows that are over, and does not lag.
     """
 
     actions: NDArray[np.float64]
@@ -26,7 +26,7 @@ class Chunk:
     time: float = 0.0
     """Time of the observation that the chunk answers [s], by the robot's clock."""
     info: Mapping[str, float | str] = field(default_factory=dict)
-    """What else the policy says, such as `infer_ms`."""
+    """More values of the policy, such as `infer_ms`."""
 
     def __post_init__(self) -> None:
         """Check shape and numbers: nothing that is not finite ever gets to a robot.
@@ -48,10 +48,10 @@ class Chunk:
 
     @property
     def horizon(self) -> int:
-        """How many rows there are."""
+        """Number of rows."""
         return len(self.actions)
 
     @property
     def end(self) -> float:
-        """When the last row is over [s]."""
+        """End of the last row [s]."""
         return self.time + self.horizon * self.period

@@ -1,4 +1,4 @@
-"""Every error that is raised on purpose. What goes wrong on the other side of a wire arrives as the same class here."""
+"""Errors that are raised on purpose. An error on the other side of a wire has the same class on this side."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ class VlagentsError(Exception):
     """Anything that is raised on purpose."""
 
     kind = "error"
-    """How the error is called on the wire."""
+    """Name of the error on the wire."""
 
 
 class InvalidInput(VlagentsError, ValueError):
@@ -30,7 +30,7 @@ class Mismatch(VlagentsError):
 
 
 class BadMessage(VlagentsError):
-    """The other side sent something that is no message, or is larger than allowed. The connection is closed."""
+    """The other side sent bytes that are no message, or too many. The connection is closed."""
 
     kind = "bad message"
 
@@ -54,13 +54,13 @@ class Unauthorized(VlagentsError):
 
 
 class PolicyFailed(VlagentsError):
-    """The policy raised an error while it was asked; the message has its words."""
+    """The policy raised an error in a call; the message has its text."""
 
     kind = "failed"
 
 
 class AddressTaken(VlagentsError, OSError):
-    """Something listens already where a server is to listen."""
+    """The address of a server is in use."""
 
     kind = "taken"
 
@@ -73,7 +73,7 @@ class AddressTaken(VlagentsError, OSError):
 
 
 class MissingStack(VlagentsError, ImportError):
-    """What a policy or a wire stands on is not installed in this environment."""
+    """A package that a policy or a wire needs is not installed in this environment."""
 
     kind = "missing"
 

@@ -1,4 +1,4 @@
-"""The interface that everything here has: a policy, a server's client, and whatever is wrapped around one."""
+"""The interface of a policy, of a server's client, and of wrappers around one."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Policy(ABC):
         """Return the actions from the time of an observation on.
 
         Args:
-            observation: One moment; its `session` says whose.
+            observation: One moment of one session.
 
         Raises:
             InvalidInput: Something that the policy needs is missing or wrong.
@@ -41,27 +41,27 @@ class Policy(ABC):
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[Chunk]:
         """Return the actions for several observations, each of another session.
 
-        A server asks a policy that has this method of its own for all robots at once that wait for their turn. If it
-        raises an error, they are asked for one by one, so that a mistake of one robot is none of another's.
+        A server calls this method of a policy that overrides it, with the observations of all waiting robots. If it
+        raises an error, they are passed one by one, so that a mistake of one robot does not affect another.
         """
         return [self.infer(observation) for observation in observations]
 
     def reset(  # noqa: B027  a policy may remember nothing
         self, session: str = "", instruction: str = "", *, seed: int | None = None
     ) -> None:
-        """Begin an episode: forget what was in this session, and remember what is to be done.
+        """Begin an episode: forget the session's memory, and keep its instruction.
 
         Args:
-            session: Which robot, or which copy; others are not touched.
-            instruction: What is to be done, in words.
-            seed: Of what the policy draws by chance; None for any.
+            session: Name of the robot or copy; others do not change.
+            instruction: The task in words.
+            seed: Seed of the policy's random numbers; None for any.
         """
 
     def forget(self, session: str) -> None:  # noqa: B027  a policy may remember nothing
-        """Let go of a session that does not come back. One that is not known does no harm."""
+        """Forget a session that has ended; an unknown one is ignored."""
 
     def close(self) -> None:  # noqa: B027  a policy may hold nothing
-        """Let go of everything. A second call does nothing."""
+        """Release everything. A second call does nothing."""
 
     def __enter__(self) -> Policy:
         """Return the policy, which is closed at the end of the block."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
-from vlagents.wire.link import Deadline, Link
+from vlagents.wire.link import Deadline, Link, closed_by_errors
 from vlagents.wire.stream import KEPT, LARGEST_BODY
 
 GO_ON, TEXT, BINARY, CLOSE, PING, PONG = 0, 1, 2, 8, 9, 10
@@ -41,8 +41,8 @@ class FrameChannel:
 
         Args:
             link: It is closed with the channel.
-            is_client: Whether this is the side that asked; it masks what it sends.
-            largest: Most bytes of a message that comes.
+            is_client: Whether this is the client's side, which masks its messages.
+            largest: Most bytes of a received message.
         """
         self._link, self._is_client, self.largest = link, is_client, largest
         self._reading, self._writing = threading.Lock(), threading.Lock()
@@ -57,47 +57,33 @@ class FrameChannel:
             ConnectionLost: It has gone.
         """
         parts = [message.encode()] if isinstance(message, str) else message
-        try:
-            with self._writing:
-                self._write(TEXT if isinstance(message, str) else BINARY, parts, deadline)
-        except VlagentsError:
-            self._link.close()
-            raise
-        except OSError as error:
-            self._link.close()
-            raise ConnectionLost(f"The connection broke: {error}.") from error
+        with closed_by_errors(self._link), self._writing:
+            self._write(TEXT if isinstance(message, str) else BINARY, parts, deadline)
 
     def receive(self, deadline: Deadline, begun: Deadline | None = None) -> str | memoryview:
-        """Return the next message, bytes in memory that nobody else has.
+        """Return the next message, bytes in memory of its own.
 
         Args:
             deadline: By when it must have begun to come, and be complete unless `begun` says otherwise.
             begun: By when it must be complete once it began, counted from then.
 
         Raises:
-            DeadlineExceeded: It did not come in time.
-            BadMessage: It is none, or too large.
+            DeadlineExceeded: It did not arrive in time.
+            BadMessage: The bytes are no message, or too many.
             ConnectionLost: The other side has gone, or said that it goes.
         """
-        try:
-            with self._reading:
-                return self._receive(deadline, begun)
-        except VlagentsError:
-            self._link.close()
-            raise
-        except OSError as error:
-            self._link.close()
-            raise ConnectionLost(f"The connection broke: {error}.") from error
+        with closed_by_errors(self._link), self._reading:
+            return self._receive(deadline, begun)
 
     def attend(self) -> None:
-        """Answer pings that came while nobody receives; does nothing while somebody does."""
+        """Answer pings while no thread receives; do nothing while one does."""
         if not self._reading.acquire(blocking=False):
             return
         try:
             while self._pass_control(self._link.peek()):
                 pass
         except (VlagentsError, OSError):
-            pass  # whoever receives next is told
+            pass  # the next call of `receive` raises it
         finally:
             self._reading.release()
 

@@ -1,4 +1,4 @@
-"""A websocket's handshake, both sides: the library websockets knows the rules, a link with deadlines carries it."""
+"""A websocket's handshake, both sides: by the library websockets, over a link with deadlines."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ _log.setLevel(logging.WARNING)  # not a line per connection
 LONGEST = 16 << 10
 """Most bytes of a request or an answer."""
 GET = b"GET "
-"""How every request for a websocket begins."""
+"""First bytes of every request for a websocket."""
 REFUSAL = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Length: 21\r\n\r\nThis is a websocket.\n"
-"""Answer to what does not: clients of another wire learn at once where they are."""
+"""Answer to other bytes: clients of another wire learn at once that this is a websocket."""
 
 
 def accept(link: Link, deadline: Deadline, admit: Callable[[Any], tuple[int, str] | None]) -> bool:
     """Answer a request for a websocket; return whether there is one now.
 
-    Pages in browsers are refused, for any page that somebody opens could ask. Their requests have an `Origin`, which a
-    page cannot leave out, and those of other clients have none.
+    Pages in browsers are refused, because any page that a user opens could send requests. Theirs have an `Origin`,
+    which a page cannot leave out; those of other clients have none.
 
     Args:
-        link: To whoever asks.
+        link: The link to the client.
         deadline: By when the request must be there.
         admit: Takes a request (`path`, `headers`) and returns another answer (HTTP status, text), or None.
 
     Raises:
-        BadMessage: It is no request, or that of a page.
+        BadMessage: The bytes are no request, or that of a page.
     """
     begin = bytes(link.need(len(GET), deadline))
     if begin != GET:

@@ -11,11 +11,11 @@ import select
 import socket
 import ssl
 import time
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 
 from vlagents.address import Address
-from vlagents.errors import ConnectionLost, DeadlineExceeded
+from vlagents.errors import ConnectionLost, DeadlineExceeded, VlagentsError
 
 AHEAD = 64 << 10
 """Most bytes that are read ahead."""
@@ -217,3 +217,16 @@ class Link:
         left = deadline.left()
         if not what.poll(None if left is None else 1e3 * left):
             raise deadline.exceeded()
+
+
+@contextlib.contextmanager
+def closed_by_errors(link: Link) -> Generator[None]:
+    """Close a link on any error, which becomes one of ours."""
+    try:
+        yield
+    except VlagentsError:
+        link.close()
+        raise
+    except OSError as error:
+        link.close()
+        raise ConnectionLost(f"The connection broke: {error}.") from error

@@ -36,7 +36,7 @@ SEALS = getattr(fcntl, "F_SEAL_SHRINK", 2) | getattr(fcntl, "F_SEAL_GROW", 4) | 
 
 
 MOST_FILES = 4
-"""Files that may have come before the messages which they belong to."""
+"""Files that may arrive before the messages that they belong to."""
 
 
 def is_supported() -> bool:
@@ -51,7 +51,7 @@ class UnixLink(Link):
         """Take over a connected Unix socket."""
         super().__init__(connection)
         self.files: list[int] = []
-        """Files that came and were not taken yet; they are closed with the link."""
+        """Files that arrived and were not taken yet; they are closed with the link."""
 
     def send_file(self, frame: memoryview, file: int, deadline: Deadline) -> None:
         """Send a frame and a file with it."""
@@ -64,7 +64,7 @@ class UnixLink(Link):
         self.send([frame[count:]], deadline)
 
     def close(self) -> None:
-        """Close the socket, and files that nobody took."""
+        """Close the socket, and files that were not taken."""
         super().close()
         while self.files:
             os.close(self.files.pop())
@@ -205,7 +205,7 @@ class SharedChannel(StreamChannel):
 
 
 def peer_user(connection: socket.socket) -> int:
-    """Return the number of the user on the other side of a Unix socket, as the kernel knows it."""
+    """Return the id of the user on the other side of a Unix socket, by the kernel."""
     credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
     return int(struct.unpack("3i", credentials)[1])
 

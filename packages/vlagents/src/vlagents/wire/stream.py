@@ -10,7 +10,7 @@ import socket
 import struct
 import sys
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,23 +26,7 @@ LARGEST_HEADER = 256 << 10
 LARGEST_BODY = 256 << 20
 """Most bytes of a body, by default: forty full HD pictures."""
 KEPT = 64 << 20
-"""Memory of a body of up to this many bytes may be used again: new memory costs more than what is read into it."""
-
-
-class Channel(Protocol):
-    """Carries messages both ways."""
-
-    def send(self, values: Any, deadline: Deadline) -> None:
-        """Send a message."""
-        ...
-
-    def receive(self, deadline: Deadline, begun: Deadline | None = None) -> Any:
-        """Return the next message."""
-        ...
-
-    def close(self) -> None:
-        """End the connection; the other side learns it."""
-        ...
+"""Memory of a body of up to this many bytes is used again: new memory costs more time than reading into it."""
 
 
 class StreamChannel:
@@ -53,7 +37,7 @@ class StreamChannel:
 
         Args:
             connection: It is closed with the channel.
-            largest_body: Most bytes of arrays in a message that comes.
+            largest_body: Most bytes of arrays in a received message.
         """
         self._link = self._linked(connection)
         self.largest_body = largest_body
@@ -79,8 +63,8 @@ class StreamChannel:
             begun: By when it must be complete once it began, counted from then.
 
         Raises:
-            DeadlineExceeded: It did not come in time.
-            BadMessage: It is none, or too large.
+            DeadlineExceeded: It did not arrive in time.
+            BadMessage: The bytes are no message, or too many.
             ConnectionLost: The other side has gone.
         """
         return self._guarded(self._receive, deadline, begun)
@@ -154,7 +138,7 @@ class StreamChannel:
         return header
 
     def _guarded(self, act: Callable[..., Any], *given: Any) -> Any:
-        """Do something with the socket; whatever goes wrong closes it, with an error of ours."""
+        """Call a function that uses the socket; any error closes it, and becomes one of ours."""
         try:
             return act(*given)
         except VlagentsError:

@@ -8,14 +8,12 @@ the connection.
 
 from __future__ import annotations
 
-import contextlib
 import struct
-from collections.abc import Generator
 
 import numpy as np
 
-from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
-from vlagents.wire.link import Deadline, Link
+from vlagents.errors import BadMessage
+from vlagents.wire.link import Deadline, Link, closed_by_errors
 from vlagents.wire.stream import LARGEST_BODY
 
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
@@ -34,13 +32,13 @@ class ZmtpChannel:
 
         Args:
             link: To the other side.
-            is_client: Whether this side asks.
-            largest: Most bytes of a message that comes.
+            is_client: Whether this side sends requests.
+            largest: Most bytes of a received message.
         """
         self._link, self._is_client, self.largest = link, is_client, largest
 
     def greet(self, deadline: Deadline) -> None:
-        """Agree on how to talk; comes before all else.
+        """Exchange greetings, before all else.
 
         Raises:
             BadMessage: The other side speaks something else.
@@ -49,7 +47,7 @@ class ZmtpChannel:
         """
         own, theirs = (b"REQ", (b"REP", b"ROUTER")) if self._is_client else (b"ROUTER", (b"REQ", b"DEALER"))
         ready = b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(own)) + own
-        with _closed_by_errors(self._link):
+        with closed_by_errors(self._link):
             self._link.send([memoryview(GREETING + bytes([COMMAND, len(ready)]) + ready)], deadline)
             begin = self._link.take(10, deadline)
             if begin[0] != 0xFF or not begin[9] & 1:
@@ -71,7 +69,7 @@ class ZmtpChannel:
             ConnectionLost: It has gone.
         """
         head = struct.pack(">BBBQ", MORE, 0, LONG, len(content))
-        with _closed_by_errors(self._link):
+        with closed_by_errors(self._link):
             self._link.send([memoryview(head), memoryview(content)], deadline)
 
     def receive(self, deadline: Deadline, begun: Deadline | None = None) -> memoryview:
@@ -82,11 +80,11 @@ class ZmtpChannel:
             begun: By when it must be complete once it began, counted from then.
 
         Raises:
-            DeadlineExceeded: It did not come in time.
-            BadMessage: It is none, or too large.
+            DeadlineExceeded: It did not arrive in time.
+            BadMessage: The bytes are no message, or too many.
             ConnectionLost: The other side has gone.
         """
-        with _closed_by_errors(self._link):
+        with closed_by_errors(self._link):
             self._link.need(1, deadline)
             rest = deadline if begun is None else Deadline(begun.seconds, "the rest of a message")
             if self._frame(rest) != (MORE, 0):
@@ -124,19 +122,6 @@ class ZmtpChannel:
         if flags > (MORE | LONG | COMMAND) or count > most:
             raise BadMessage(f"A frame with the flags {flags:#04x} has {count} bytes; valid are up to {most}.")
         return flags, count
-
-
-@contextlib.contextmanager
-def _closed_by_errors(link: Link) -> Generator[None]:
-    """Close a link on whatever goes wrong, which is then an error of ours."""
-    try:
-        yield
-    except VlagentsError:
-        link.close()
-        raise
-    except OSError as error:
-        link.close()
-        raise ConnectionLost(f"The connection broke: {error}.") from error
 
 
 def _properties(command: bytes) -> dict[bytes, bytes]:
