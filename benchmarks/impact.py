@@ -18,16 +18,15 @@ import rcs
 
 SPEEDS = (0.02, 0.05, 0.1, 0.25)
 """Speeds of the tool on its way down [m/s]."""
-FREQUENCY = 500.0
-"""Control rate [Hz], equal to that of the physics, so that no physics step is missed."""
 LIMIT = 1.0
 """Longest observed contact [s]."""
 
 
-def hit(robot: str, speed: float) -> dict[str, float | str]:
+def hit(robot: str, speed: float, physics_step: float = 0.002, **fields: Any) -> dict[str, float | str]:
     """Send the open gripper straight down; return the peak force [N] and when it and the reaction came [s]."""
-    form: dict[str, Any] = {"control": "tquat", "relative": False, "max_episode_steps": None}
-    env: Any = rcs.make("PickCuboid", robot=robot, frequency=FREQUENCY, **form)
+    form: dict[str, Any] = {"control": "tquat", "relative": False, "max_episode_steps": None, **fields}
+    # A control step is one of the physics, so that none of these is missed.
+    env: Any = rcs.make("PickCuboid", robot=robot, frequency=1 / physics_step, physics_step=physics_step, **form)
     world = env.simulation.world
     arm = world.subtree_flags(env.simulation.robots[0].placement.base_body)
     force = world.read_force(arm, 1 - arm)

@@ -150,9 +150,9 @@ def stream(env: Env, log: Log, options: Options) -> dict[str, float]:
     return peaks(log.take(), log.robot, log.physics_step)
 
 
-def line(robot: str) -> dict[str, float]:
+def line(robot: str, **fields: Any) -> dict[str, float]:
     """Follow a line by poses at 30 Hz; return how far the TCP is behind and beside the targets [mm]."""
-    env = make(robot, "async", control="tquat")
+    env = make(robot, "async", control="tquat", **fields)
     observation, _ = env.reset(seed=0)
     start = observation["tquat"].copy()
     along = np.array(DIRECTIONS[robot], float)
