@@ -5,11 +5,11 @@
 
 For each step, the experts make episodes of the same seeds. For each robot, the hand then holds the cuboid of
 PickCuboid: `grip` is the mean force of a pad over a second [N], `sunk` how deep pad and cuboid overlap [mm], `slip` how
-far the cuboid moves in the hand per minute [mm], `turned` by how much it turns [degrees], and `swing` how far it is
-from where it comes to rest, from the end of a fast turn of the base on [mm]. `fall` is how deep a cuboid that falls by
-30 cm sinks into the table [mm], `impact` the peak force of an open hand that comes down at 0.1 and 0.25 m/s [N];
-`overshoot` [degrees], `settling` [s], `behind` and `beside` [mm] are those of `motion.py`. `cpu` is the time of a
-processor that a simulated second of the expert takes [s].
+far the cuboid moves in the hand per minute [mm], and `swing` how far it is from where it comes to rest, from the end of
+a fast turn of the base on [mm]. `impact` is the peak force of an open hand that comes down on the table at 0.1 and
+0.25 m/s [N]; `overshoot` [degrees], `settling` [s], `behind` and `beside` [mm] are those of `motion.py`, and `fall_mm`
+is how deep a cuboid that falls by 30 cm sinks into the table. `cpu` is the time of a processor that a simulated second
+of the expert takes [s].
 
 Prints a table of both kinds, then one JSON object: a row per task and step in `experts`, per robot and step in
 `robots`.
@@ -32,19 +32,15 @@ from numpy.typing import NDArray
 
 import rcs
 from rcs.agents import agent_for
-from rcs.envs.env import Env
 from rcs.tasks.pick_cuboid import CUBOID
 
-EFFECTORS = {"xarm7": {"end_effector": "robotiq_2f85"}}
+EFFECTORS: dict[str, dict[str, Any]] = {"xarm7": {"end_effector": "robotiq_2f85"}}
 """The hand of a robot, where the usual one has no pads."""
 IMPACTS = (0.1, 0.25)
 """Speeds of the hand on its way down [m/s]."""
-PICK, SETTLED, MINUTE, REST = 8.0, 2.0, 60.0, 1.0
-"""How long the expert has for the cuboid, until it rests, how long it is then held, and forces are averaged [s]."""
-TURN = 0.3
-"""The turn of the base [rad]."""
-FALLS = tuple(0.29 + 0.002 * i for i in range(11))
-"""Heights of the falls [m]."""
+PICK, SETTLED, MINUTE, REST, TURN = 8.0, 2.0, 60.0, 1.0, 0.3
+"""How long the expert has for the cuboid, until it rests, how long it is then held, and forces are averaged [s]; the
+turn of the base [rad]."""
 
 
 @dataclass(kw_only=True)
@@ -64,16 +60,11 @@ class Options:
     """Robots whose grips, impacts and motions are measured."""
 
 
-def environment(task: str, robot: str, physics_step: float, **fields: Any) -> Env:
-    """Make an environment of a task with the hand that the robot has in these measurements."""
-    return rcs.make(task, robot=robot, physics_step=physics_step, **EFFECTORS.get(robot, {}), **fields)
-
-
 def expert(name: str, physics_step: float, episodes: int) -> dict[str, Any]:
     """Return how many episodes of a task succeed, and what they take."""
     task, robot = name.split(":")
     successes, simulated, used = 0, 0.0, 0.0
-    with environment(task, robot, physics_step) as env:
+    with rcs.make(task, robot=robot, physics_step=physics_step, **EFFECTORS.get(robot, {})) as env:
         agent = agent_for(env)
         for seed in range(episodes):
             observation, info = env.reset(seed=seed)
@@ -85,8 +76,8 @@ def expert(name: str, physics_step: float, episodes: int) -> dict[str, Any]:
             used += time.process_time() - before
             simulated += float(info["time"]) - began
             successes += bool(info["success"])
-    row = {"physics_step": physics_step, "task": name, "successes": successes, "episodes": episodes}
-    return row | {"seconds": round(simulated / episodes, 2), "cpu": round(used / simulated, 4)}
+    times = {"seconds": round(simulated / episodes, 2), "cpu": round(used / simulated, 4)}
+    return {"physics_step": physics_step, "task": name, "successes": successes, "episodes": episodes, **times}
 
 
 class Held:
@@ -96,7 +87,8 @@ class Held:
         """Pick the cuboid up, and wait until everything rests."""
         form: dict[str, Any] = {"control": "joints", "relative": "absolute", "max_episode_steps": None}
         form["task_options"] = {"hold_time": 10 * MINUTE}  # the episode does not end
-        self.env = environment("PickCuboid", robot, physics_step, **form)
+        form |= EFFECTORS.get(robot, {})
+        self.env = rcs.make("PickCuboid", robot=robot, physics_step=physics_step, **form)
         world, placement = self.env.simulation.world, self.env.simulation.robots[0].placement
         assert placement.gripper is not None and world.data is not None
         self.data, self._model = world.data, world.model
@@ -129,41 +121,23 @@ class Held:
         with_cuboid = (contacts.geom == self._geom).any(axis=1) & np.isin(contacts.geom, self._pads).any(axis=1)
         return -float(contacts.dist[with_cuboid].min(initial=0.0))
 
-    def in_hand(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return place [m] and rotation of the cuboid in the frame of the hand."""
+    def in_hand(self) -> NDArray[np.float64]:
+        """Return where the cuboid is in the frame of the hand [m]."""
         axes = self.data.xmat[self._hand].reshape(3, 3)
-        place = axes.T @ (self.data.xpos[self._box] - self.data.xpos[self._hand])
-        return place, axes.T @ self.data.xmat[self._box].reshape(3, 3)
+        return axes.T @ (self.data.xpos[self._box] - self.data.xpos[self._hand])
 
     def swing(self) -> float:
         """Turn the base fast; return how far the cuboid then is from where it comes to rest, at most [m]."""
-        motion, places, is_led = self.env.simulation.robots[0].motion, [], [True]
+        motion, places = self.env.simulation.robots[0].motion, list[tuple[bool, NDArray[np.float64]]]()
 
-        def note(view: Any) -> bool:
-            is_led[0] = bool(np.abs(motion.state(view)[1:]).max() > 0.0)
-            places.append((is_led[0], view.xpos[self._box].copy()))
-            return False
+        def note(view: Any) -> None:
+            places.append((bool(np.any(motion.state(view)[1:])), view.xpos[self._box].copy()))
 
         self.env.simulation.world.on_period(note, self._model.opt.timestep)
         self.action = {**self.action, "joints": self.action["joints"] + np.eye(len(self.action["joints"]))[0] * TURN}
         self.wait(REST + SETTLED)
         ended = len(places) - next(i for i, (led, _) in enumerate(reversed(places)) if led)
         return float(np.linalg.norm(np.array([place for _, place in places[ended:]]) - places[-1][1], axis=1).max())
-
-
-def grip(robot: str, physics_step: float) -> dict[str, float]:
-    """Return how a robot holds the cuboid."""
-    held = Held(robot, physics_step)
-    forces = np.array(held.wait(REST))
-    place, axes = held.in_hand()
-    sunk = held.sunk()
-    held.wait(MINUTE)
-    later, turned = held.in_hand()
-    angle = np.degrees(np.arccos(np.clip((np.trace(axes.T @ turned) - 1) / 2, -1.0, 1.0)))
-    found = {"grip": float(forces.mean()), "sunk": 1e3 * sunk, "slip": 1e3 * float(np.linalg.norm(later - place))}
-    found |= {"turned": float(angle), "swing": 1e3 * held.swing()}
-    held.env.close()
-    return found
 
 
 def fall(physics_step: float) -> float:
@@ -173,7 +147,9 @@ def fall(physics_step: float) -> float:
         world = env.simulation.world
         model, data = world.model, world.data
         assert data is not None
-        for height in FALLS:  # it matters where the cuboid is in the step in which it touches the table
+        for height in np.linspace(
+            0.29, 0.31, 11
+        ):  # it matters where the cuboid is in the step in which it touches the table
             env.reset(seed=0)
             data.qpos[model.jnt_qposadr[model.body(CUBOID).jntadr[0]] + 2] += height
             for _ in range(round(0.5 / physics_step)):
@@ -184,8 +160,13 @@ def fall(physics_step: float) -> float:
 
 
 def robot_row(robot: str, physics_step: float) -> dict[str, Any]:
-    """Return what is measured of a robot."""
-    found = grip(robot, physics_step)
+    """Return how a robot holds the cuboid, hits the table, and moves."""
+    held = Held(robot, physics_step)
+    found = {"grip": float(np.mean(held.wait(REST))), "sunk": 1e3 * held.sunk()}
+    place = held.in_hand()
+    held.wait(MINUTE)
+    found |= {"slip": 1e3 * float(np.linalg.norm(held.in_hand() - place)), "swing": 1e3 * held.swing()}
+    held.env.close()
     for speed in IMPACTS:
         found[f"impact_{speed:g}"] = float(hit(robot, speed, physics_step, **EFFECTORS.get(robot, {}))["peak_force"])
     env = make(robot, "async", control="joints", physics_step=physics_step)

@@ -1853,8 +1853,8 @@ class Renderer:
             max_height: Largest height of a picture [pixels].
             backend: "auto" (EGL, else OSMesa), "egl" or "osmesa"; one per process.
             geom_groups: Which of the six groups of geoms are drawn; 3 to 5 are collision shapes by custom.
-            is_rasterised: Draw pictures of colours alone without OpenGL in quality "fast", where the scene has neither textures,
-                soft bodies nor height fields. They look the same but for rounding.
+            is_rasterised: Draw colours without OpenGL in quality "fast", where the scene has neither textures, soft bodies nor
+                height fields; depth and ids are drawn with it. Colours look the same but for rounding.
 
         Raises:
             ValueError: An argument is not valid.
