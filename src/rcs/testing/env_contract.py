@@ -48,7 +48,11 @@ BAD_ACTIONS: dict[str, Callable[[Boxes, Action], Any]] = {
     "too short": _change(lambda box, array: array[1:]),
     "too long": _change(lambda box, array: np.append(array, array[:1])),
     "an axis too many": _change(lambda box, array: array[None]),
-    "a number instead of an array": _change(lambda box, array: 0.0),
+    # A plain number is valid for a gripper.
+    "a number instead of an array": lambda boxes, action: {
+        **action,
+        next((key for key in action if boxes[key].shape != (1,)), "no such key"): 0.0,
+    },
     "text": _change(lambda box, array: ["0.0"] * len(array)),
     "objects": _change(lambda box, array: np.array([None] * len(array))),
     "booleans": _change(lambda box, array: np.zeros(box.shape, np.bool_)),
