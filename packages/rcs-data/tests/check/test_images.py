@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -78,6 +78,9 @@ def test_the_touch_of_nothing_is_not_frozen(tmp_path: Path, moving: MakeMoving) 
         for row in rows:
             row[RGB] = rows[0][RGB]
 
-    setup = {"robot": "fr3", "stepping": "realtime", "cameras": [], "tactile": "digit"}
+    setup: dict[str, Any] = {"robot": "fr3", "stepping": "realtime", "cameras": {"names": []}, "tactile": "digit"}
     assert found(moving(tmp_path / "tactile", touch_nothing, setup=setup)) == []
+    setup["cameras"] = {"names": ["wrist"]}
+    (finding,) = found(moving(tmp_path / "beside", touch_nothing, setup=setup))
+    assert finding.kind == "frozen"
     assert [finding.kind for finding in found(moving(tmp_path / "camera", touch_nothing))] == ["frozen"]

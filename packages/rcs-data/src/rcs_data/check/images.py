@@ -95,4 +95,6 @@ def _moved(joints: list[NDArray[np.float64]], first: int, last: int) -> float:
 
 def _is_tactile(rows: EpisodeRows, camera: str) -> bool:
     setup = rows.info.setup
-    return bool(setup.get("tactile")) and camera not in (setup.get("cameras") or ())
+    cameras = setup.get("cameras")
+    names = cameras.get("names") if isinstance(cameras, dict) else None
+    return bool(setup.get("tactile")) and not (isinstance(names, list) and camera in names)
