@@ -20,7 +20,8 @@ from rcs_data.layout import open_folder
 import rcs
 from rcs.errors import DatasetError, InvalidSetup, RcsError
 from rcs.rollout.collect import Collection, Progress, collect, episode_id
-from rcs.rollout.replay import replay, setup_of
+from rcs.rollout.recorded_setup import setup_of
+from rcs.rollout.replay import replay
 
 COLLECT = """
 import sys, rcs

@@ -12,7 +12,8 @@ import rcs
 from rcs.agents import agent_for
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.episode import run_episode
-from rcs.rollout.replay import replay, setup_of
+from rcs.rollout.recorded_setup import setup_of
+from rcs.rollout.replay import replay
 
 SETUP = rcs.Setup(randomisation=rcs.Randomisation(distractors=2))
 
