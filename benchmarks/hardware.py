@@ -12,8 +12,8 @@ Prints one line of JSON per robot, and a last one for all. Measurements, each by
 - `bus`: reads of an SO101's servos while packets are late, lost and damaged;
 - `skew`: of the commands to two arms, of `dual_fr3`.
 
-`fake` is a servo in Python that follows its points at once, on a clock of its own. `robot_late` is the share of a
-virtual robot's ticks that came late: a machine where it is above 0.01 is too busy for figures of time.
+`fake` is a servo in Python that follows its setpoints at once, on a clock of its own. `robot_late` is the fraction of a
+virtual robot's late ticks; above 0.01, the machine is too busy to measure times.
 """
 
 from __future__ import annotations

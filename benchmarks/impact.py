@@ -23,7 +23,7 @@ LIMIT = 1.0
 
 
 def hit(robot: str, speed: float, physics_step: float = 0.002, **fields: Any) -> dict[str, float | str]:
-    """Send the open gripper straight down; return the peak force [N] and when it and the reaction came [s]."""
+    """Send the open gripper straight down; return the peak force [N] and the times of peak and reaction [s]."""
     form: dict[str, Any] = {"control": "tquat", "relative": False, "max_episode_steps": None, **fields}
     # A control step is one of the physics, so that none of these is missed.
     env: Any = rcs.make("PickCuboid", robot=robot, frequency=1 / physics_step, physics_step=physics_step, **form)

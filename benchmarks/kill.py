@@ -10,7 +10,7 @@ A quarter of the trials each kills
 
 After every kill the finished episodes are checked by hash and `recover` brings back the open ones; after an edit the
 dataset must be as it was before or after it, and undo must lead back to what was recorded; a conversion's result is
-there whole or not at all. Whatever is left beside is named by a check and removed by a repair.
+complete or absent. A check lists all leftovers, and a repair removes them.
 
 Prints one JSON object. `lossless` counts the kills after which no finished episode was missing or changed, no edit was
 half done and the check passed; `lost_rows_max` and `lost_s_max` are what the open episode lost.

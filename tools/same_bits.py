@@ -1,4 +1,4 @@
-"""Whether two checkouts simulate the same bits: a hash of all actions, observations and rewards of seeded episodes.
+"""Compare the bits of two checkouts by hashes of all actions, observations and rewards of seeded episodes.
 
     python tools/same_bits.py [--episodes 20] [--physics-step 0.002] [--only PickCuboid:fr3 ...] > one.txt
 

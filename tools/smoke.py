@@ -1,4 +1,4 @@
-"""Whether an installed wheel works: makes and steps an environment, and runs the command `rcs`."""
+"""Test an installed wheel: make and step an environment, and run the command `rcs`."""
 
 from __future__ import annotations
 

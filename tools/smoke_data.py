@@ -1,4 +1,4 @@
-"""Whether an installed wheel of rcs-data works by itself: records, reads, checks, edits, converts, shows a dataset."""
+"""Test an installed wheel of rcs-data alone: record, read, check, edit, convert and view a dataset."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Compare the speed of other simulators on a similar scene with PickCuboid, in turns on the same two cores.
 
 Each runs in an environment of its own (build/peers, made when missing: 2.5 GB), two seconds at a time, several rounds.
-They do not simulate the same thing: control periods are 20 to 50 ms, physics steps 2 or 5 ms, models and contacts
-differ. What can be compared is simulated seconds per second, with the physics step beside it. Random actions.
+The simulations differ: control periods are 20 to 50 ms, physics steps 2 or 5 ms, and models and contacts differ.
+Compare the simulated seconds per second, considering the physics step. Actions are random.
 
 Prints a table, and one JSON object: per program `simulated_s_per_s`, `steps_per_s`, `physics_hz`, medians over rounds.
 """

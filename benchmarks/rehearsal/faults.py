@@ -1,7 +1,7 @@
 """Cause every fault of a virtual robot at random times of a motion, and measure its report and effects.
 
-A fault must end the episode within 100 ms (a controller that hangs, or a cable that is out, within 300), the rows until
-then stay, nothing moves at `recover`, and the robot works again after it. What is no fault must not disturb.
+A fault must end the episode within 100 ms (within 300 ms if the controller hangs or the cable is cut), the rows so far
+must be kept, nothing may move at `recover`, and the robot must work afterwards. Other events must have no effect.
 """
 
 from __future__ import annotations

@@ -19,19 +19,19 @@ from rcs.hardware.franka import FrankaArm
 from rcs.robots import FR3
 
 WINDOWS = (1, 2, 5, 10, 20)
-"""Over how many points differences are taken: a mean over a window is within the limits where the points are, and what
-the rounding on a wire may have added to it, which is subtracted, is the less the longer the window is."""
+"""Numbers of setpoints over which differences are taken. A mean over a window is within the limits if the setpoints
+are, and the possible error by rounding on the wire, which is subtracted, decreases with the length of the window."""
 QUANTA = {"so101": 2 * np.pi / 4096, "xarm7": 2.4e-7}
-"""By how much positions are rounded on the wire [rad]: steps of the encoder, single precision."""
+"""Quantisation of positions on the wire [rad]: steps of the encoder, single precision."""
 RESTART = 0.25
-"""After a longer pause, the points are another stream [s]."""
+"""Longest pause within a stream of setpoints [s]."""
 TORQUE_RATE = 1000.0
-"""What the controller of an FR3 admits [N·m/s]."""
+"""Torque rate that an FR3's controller admits [N·m/s]."""
 FREQUENCY = 90.0
-"""Of environments [Hz]; the drivers themselves are commanded up to 1000 times a second."""
+"""Control rate of environments [Hz]; the drivers themselves receive up to 1000 commands a second."""
 CONTROLS = ("joints", "xyzrpy", "tquat", "twist")
 REACH = 0.25
-"""How far joints are led from home, which is free of obstacles [rad]."""
+"""Largest distance of joints from home, which is free of obstacles [rad]."""
 
 
 def worst(times: Array, points: Array, rate: float, limits: ArmLimits, quantum: float = 0.0) -> dict[str, Any]:

@@ -13,11 +13,11 @@ from rehearsal.stage import OPEN, Array, percentile, stage
 
 FREQUENCY = 90.0
 EVERY = 18
-"""Steps from one jerk to the next: the wrist stands in between."""
+"""Steps between two jerks, in which the wrist stands still."""
 WAY = 0.02
-"""Of the wrist [rad]."""
+"""Amplitude of the wrist's motion [rad]."""
 JUMP = 0.05
-"""A torque that is as far from those before is another one [N·m]."""
+"""Smallest change that counts as a new torque [N·m]."""
 SEARCH = 0.12
 """How long after the step a torque is looked for [s]."""
 

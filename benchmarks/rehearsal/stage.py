@@ -1,4 +1,4 @@
-"""What all measurements share: a virtual robot that logs, its devices and environments, and its log."""
+"""The base of all measurements: a virtual robot with its devices, environments and log."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from rcs.setups.lab import lab_of
 from rcs.virtual import VirtualProcess, read_events, read_points, read_ticks
 
 RATES = {"fr3": 1000.0, "ur5e": 500.0, "xarm7": 250.0, "so101": 100.0}
-"""How often each robot is sent something [Hz]."""
+"""Rate of packets to each robot [Hz]."""
 GRIPPERS = {"xarm7": "robotiq_2f85"}
-"""Of robots whose usual end effector is none."""
+"""Grippers of robots whose default end effector is not a gripper."""
 OPEN = np.ones(1)
 RECOVERY = 8.0
-"""How long to try to recover [s]; a UR's protective stop lasts 5 s."""
+"""Timeout for recovery [s]; a UR's protective stop lasts 5 s."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A virtual robot while it runs."""
+    """A running virtual robot."""
 
     robot: str
     virtual: VirtualProcess
@@ -45,7 +45,7 @@ class Stage:
 
     @property
     def site(self) -> Site:
-        """Where its devices are; an SO101 keeps its power, or it would fall whenever a program ends."""
+        """Site of its devices; an SO101 stays powered, or it would fall whenever a program ends."""
         site = self.virtual.site
         if self.robot != "so101":
             return site
@@ -75,11 +75,11 @@ class Stage:
         return read_ticks(self.log, robot)
 
     def points(self, robot: str = "") -> NDArray[np.void]:
-        """Return what the robot was sent, once it has ended."""
+        """Return the setpoints that the robot received, after it has ended."""
         return read_points(self.log, robot)
 
     def robot_late(self) -> float:
-        """Return the share of the robot's own ticks that came late, once it has ended."""
+        """Return the fraction of the robot's own ticks that were late, after it has ended."""
         end = read_events(self.log)[-1]
         return round(end["late"] / max(end["ticks"], 1), 5)
 

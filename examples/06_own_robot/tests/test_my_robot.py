@@ -121,7 +121,7 @@ class TestOurTask(EnvContract):
 
 
 class TestTheArmOfOurDriver(ArmContract):
-    """What our driver makes of an address."""
+    """The arm that our driver makes from an address."""
 
     distance = 1.2  # it moves in real time, and a busy machine looks late
 

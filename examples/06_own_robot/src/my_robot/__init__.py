@@ -1,1 +1,1 @@
-"""A six-axis arm of our own and what goes with it. Importing it does nothing: `pyproject.toml` says what is here."""
+"""A six-axis arm with its lab, task, agent and driver. `pyproject.toml` registers them; the import has no effects."""

@@ -1,4 +1,4 @@
-"""An agent of our own: `rcs eval PushToLine --robot my_robot --agent Wander`. A policy goes in the same place."""
+"""An agent: `rcs eval PushToLine --robot my_robot --agent Wander`. Use a policy in the same way."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from rcs.envs import Action, Env, Observation
 
 
 class Wander(Agent):
-    """Does something random, which shows how often chance succeeds."""
+    """Acts at random, as a baseline."""
 
     def __init__(self, env: Env) -> None:
-        """Act in an environment."""
+        """Create an agent for an environment."""
         self._space = env.action_space
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Do the same in every episode that starts alike: the seed comes from what is observed."""
+        """Seed from the observation, so that equal starts lead to equal episodes."""
         self._space.seed(int.from_bytes(np.ascontiguousarray(observation["joints"])[:1].tobytes()[:4], "little"))
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:

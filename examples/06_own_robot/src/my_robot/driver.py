@@ -1,7 +1,7 @@
 """The driver of our arm: `rcs.make("PushToLine", robot="my_robot", hardware="my_driver:192.0.2.7")`.
 
-Our controller is not there yet, so devices without hardware stand in for it. `04_own_device.py` shows what an arm
-overrides to talk to a real one.
+There is no controller yet, so fake devices replace it. `04_own_device.py` shows the functions that an arm
+overrides for a real one.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rcs.robots import ArmDescription, GripperDescription
 
 
 class MyDriver(Driver):
-    """Makes our arm and its gripper from the address of the controller."""
+    """Driver of our arm and its gripper at the address of a controller."""
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
         """Return the arm, not connected."""

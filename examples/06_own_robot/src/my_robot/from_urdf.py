@@ -1,4 +1,4 @@
-"""The same arm from its URDF. A URDF has links, joints and limits; what a simulation needs besides is added here."""
+"""The same arm from its URDF, which has links, joints and limits, plus the additions that a simulation needs."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from my_robot import lab
 from my_robot.description import MY_ROBOT
 
 SEEN, TOUCHED, SITES = 2, 3, 4
-"""Geom groups: what cameras see, what touches, and what neither is."""
+"""Geom groups: visible, colliding, and neither."""
 SERVOS: Final = {"large": (0.2, 3000.0, 200.0), "small": (0.05, 800.0, 50.0)}
-"""Of a joint: armature [kg m^2], stiffness [Nm/rad] and damping [Nm s/rad] of its position controller."""
+"""Armature [kg m^2], and stiffness [Nm/rad] and damping [Nm s/rad] of the position controller, by size of joint."""
 
 
 def complete(spec: mujoco.MjSpec) -> None:
-    """Add controllers, the flange and weight compensation to the model that MuJoCo made of the URDF.
+    """Add controllers, the flange and gravity compensation to the model that MuJoCo has read from the URDF.
 
     Args:
         spec: The model, changed in place. Its joints have the URDF's limits and efforts.

@@ -1,4 +1,4 @@
-"""The lab of our arm: with a Franka Hand, a camera beside the table and one at the wrist."""
+"""The lab of our arm, with a Franka Hand, a camera next to the table and one at the wrist."""
 
 from __future__ import annotations
 
@@ -21,4 +21,4 @@ LAB: Final = Lab(
         "side": CameraMount(camera="realsense_d435", optical=looking((0.66, 0.95, 0.50), (0.34, 0.0, 0.17))),
     },
 )
-"""What stands around our arm."""
+"""The lab of our arm."""

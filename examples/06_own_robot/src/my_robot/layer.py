@@ -1,4 +1,4 @@
-"""A layer of our own: `--layers HalfSpeed`, or `rcs.make(..., layers=["HalfSpeed"])`."""
+"""A layer: `--layers HalfSpeed`, or `rcs.make(..., layers=["HalfSpeed"])`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from rcs.envs import Action, Layer
 
 
 class HalfSpeed(Layer):
-    """Go half as far as a relative action says."""
+    """Halve relative actions."""
 
     def map_action(self, action: Action) -> Action:
         """Halve the step of every joint."""

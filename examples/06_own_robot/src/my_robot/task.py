@@ -1,4 +1,4 @@
-"""A task of our own, with an expert that can do it: push a block over a line, away from the robot."""
+"""A task and its expert: push a block over a line, away from the robot."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from rcs.tasks import TableTask, add_box, upright
 
 BLOCK = "block"
 EDGE = 0.05
-"""Of the block [m]."""
+"""Edge of the block [m]."""
 LINE = 0.10
-"""How far beyond the middle of the lab's area the line is [m]."""
+"""Distance of the line from the middle of the lab's area [m]."""
 
 
 class PushToLine(TableTask):
     """Push the block over the white line.
 
-    Progress, of which the reward is made, falls from 1 to 0 with the distance that is left: `1 - tanh(5 d)`.
+    The reward is based on progress, `1 - tanh(5 d)` of the remaining distance `d`.
     """
 
     names = (BLOCK,)
@@ -51,18 +51,18 @@ class PushToLine(TableTask):
         self.bodies[BLOCK].place(upright(place, np.full(place.shape[:-1], EDGE / 2)), where)
 
     def evaluate(self) -> Judgement:
-        """Judge how far the block still has to go."""
+        """Judge the remaining distance of the block."""
         block = self.poses_of(BLOCK).copy()
         left = np.maximum(self.area.center[0] + LINE - block[..., 0], 0.0)
         return Judgement(success=left == 0.0, progress=1.0 - np.tanh(5.0 * left), info={BLOCK: block})
 
     def describe(self) -> dict[str, NDArray[Any]]:
-        """Return where the block lies at the start."""
+        """Return the initial pose of the block."""
         return {"success": np.zeros(self._world.leading, np.bool_), **self.object_poses()}
 
 
 class LineExpert(Script):
-    """Goes down behind the block with the fingers closed, and pushes."""
+    """Moves down behind the block with closed fingers, and pushes."""
 
     task = "PushToLine"
     needs = (BLOCK,)
@@ -73,7 +73,7 @@ class LineExpert(Script):
     )
 
     def plan(self, arm: ScriptedArm) -> Plan:
-        """Plan a straight push along the base's x axis, with the tool turned as it is at the start."""
+        """Plan a straight push along the base's x axis, with the initial orientation of the tool."""
         x, y = self.info[BLOCK][:2]
 
         def tool_at(x: float, height: float) -> NDArray[np.float64]:
