@@ -196,7 +196,7 @@ def measure(arrangement: str, seed: int, options: Options, folder: Path) -> dict
         """Drive and look; the single axis of the first seed besides."""
         file = folder / "calibration.json"
         write_calibration(file, {name: Calibration(optical=optical, camera=CameraCalibration(intrinsics=lens))})
-        setup = replace(plain, calibration=str(file))
+        setup = replace(plain, cameras=replace(plain.cameras, calibration=str(file)))
         strategy = BoardStrategy(lab.rig(lens, board_near), task.board, views=options.views, seed=seed)
         with rcs.make(setup) as env:
             look_around(env, strategy, name, is_free=FreePath(env, lab.robot.name))
