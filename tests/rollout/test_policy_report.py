@@ -18,7 +18,8 @@ def test_figures_and_films_are_on_the_page_and_words_are_words(tmp_path: Path) -
         name=EVIL, checkpoint=EVIL, checkpoint_hash="", action=[SimpleNamespace(name=EVIL, meaning="absolute")],
         horizon=16, rate=30.0,
     )  # fmt: skip
-    setup = SimpleNamespace(task="PickCuboid", robot="fr3", frequency=30.0, stepping="async", cameras=(EVIL,))
+    cameras = SimpleNamespace(names=(EVIL,))
+    setup = SimpleNamespace(task="PickCuboid", robot_label="fr3", frequency=30.0, stepping="async", cameras=cameras)
     evaluation = SimpleNamespace(setup=setup, agent_name=f"vla://{EVIL}", seed=0, first_seed=0, videos=2, out=tmp_path)
     results = [
         SimpleNamespace(
