@@ -50,7 +50,7 @@ def test_the_dataset_is_exported_once_and_the_same_command_goes_on(
 ) -> None:
     out = tmp_path / "run"
     command = TrainCommand(
-        policy="act", dataset=dataset, environment=environment, out=out, steps=7, lerobot=("batch_size=4",)
+        policy="act", dataset=dataset, lerobot_environment=environment, out=out, steps=7, lerobot=("batch_size=4",)
     )
     assert command.run() == 1
     assert "the same command goes on" in capsys.readouterr().out
@@ -65,16 +65,16 @@ def test_the_dataset_is_exported_once_and_the_same_command_goes_on(
     )
     assert json.loads((out / "export" / "meta" / "info.json").read_text(encoding="utf-8"))["total_episodes"] == 1
     with pytest.raises(InvalidSetup, match="another policy"):
-        TrainCommand(policy="diffusion", dataset=dataset, environment=environment, out=out).run()
+        TrainCommand(policy="diffusion", dataset=dataset, lerobot_environment=environment, out=out).run()
 
 
 def test_what_is_missing_is_said(dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(InvalidSetup, match="give --dataset and --environment"):
         TrainCommand(policy="act").run()
     with pytest.raises(InvalidSetup, match="vlagents recipe lerobot"):
-        TrainCommand(policy="act", dataset=dataset, environment=tmp_path / "none", out=tmp_path / "run").run()
+        TrainCommand(policy="act", dataset=dataset, lerobot_environment=tmp_path / "none", out=tmp_path / "run").run()
     with pytest.raises(InvalidSetup, match="belong to --policy"):
         TrainCommand(task="PickCuboid", dataset=dataset).run()
     with pytest.raises(InvalidSetup, match="give no task"):
-        TrainCommand(task="PickCuboid", policy="act", dataset=dataset, environment=tmp_path).run()
+        TrainCommand(task="PickCuboid", policy="act", dataset=dataset, lerobot_environment=tmp_path).run()
     assert not (tmp_path / "run").exists()

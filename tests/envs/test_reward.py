@@ -196,7 +196,11 @@ def test_the_dense_reward_has_the_terms_of_pick_cube_and_success_is_worth_what_1
         away = np.linalg.norm(info["cuboid"][:3] - robot.tcp_tquat[:3])
         reach = 1.0 - 0.5 * (np.tanh(5.0 * away) + np.tanh(25.0 * away))
         corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * info["edges"]
-        height = rcs.Pose.from_tquat(world.poses[env.simulation.task._in_scene]).apply(corners)[:, 2].min()
+        height = (
+            rcs.Pose.from_tquat(world.poses[..., env.simulation.task._poses_in_scene["cuboid"], :])
+            .apply(corners)[:, 2]
+            .min()
+        )
         place = np.clip(height / 0.10, 0.0, 1.0)
         is_placed = float(grasped and height >= 0.10)
         static = 1.0 - np.tanh(5.0 * np.linalg.norm(robot.joint_velocities))
@@ -225,8 +229,8 @@ def test_the_judgement_of_a_task_tells_success_and_ends_the_episode_with_it() ->
     ("values", "message"),
     [
         ({"reward": "progress"}, "reward is 'progress'; valid: 'shaped', 'dense', 'sparse'"),
-        ({"discount": 0.0}, "discount is 0.0; valid is above 0"),
-        ({"discount": 1.01}, "discount is 1.01; valid is above 0 and up to 1"),
+        ({"discount": 0.0}, "discount is 0.0; valid: a finite number above 0"),
+        ({"discount": 1.01}, "discount is 1.01; valid: .* up to 1"),
         ({"discount": "0.9"}, "discount is '0.9'"),
         ({"discount": float("nan")}, "discount is nan"),
         ({"reward": "dense", "discount": 1.0}, "the dense reward needs one below 1"),

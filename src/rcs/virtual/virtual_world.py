@@ -101,7 +101,8 @@ class VirtualWorld:
                 address = kind.address if address is None else address
                 self.wires[name] = kind(self.robots[name], address)
                 address = kind.next_address(address)
-            self.control = Control(setup.robot)
+            robot = setup.robot
+            self.control = Control(robot if isinstance(robot, str) else "-".join(robot))
         except BaseException:
             self.close()
             raise
