@@ -11,7 +11,7 @@ from rcs.envs.observer import Observer
 from rcs.envs.setup import Setup
 from rcs.envs.task import Task
 from rcs.envs.variation.clutter import Clutter
-from rcs.hardware.site import Devices
+from rcs.hardware.devices import Devices
 from rcs.robots.mount import Obstacle
 from rcs.sim.scene import CameraPlacement, RobotPlacement
 from rcs.sim.tactile_mounts import TactilePlacement

@@ -19,18 +19,16 @@ import sys
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
 from rcs.errors import InvalidSetup, UnknownName
+from rcs.hardware.devices import Devices, OnStale
 from rcs.hardware.driver import Driver
 from rcs.hardware.hosted import Place, hosted, is_hosted
 from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
 from rcs.robots.tactile import TactileDescription
-
-OnStale = Literal["flag", "hold", "fault"]
-"""Reaction to a camera without new frames: a flag in recordings, holding all devices, or the end of the episode."""
 
 KINDS = ("arms", "grippers", "hands", "cameras", "tactile")
 _CLASSES = {"arm": Arm, "gripper": Gripper, "hand": Hand, "camera": Camera, "tactile": Camera}
@@ -83,37 +81,6 @@ class DeviceAddress:
 
 
 AnyDevice = DeviceAddress | Arm | Gripper | Hand | Camera
-
-
-@dataclass(frozen=True, kw_only=True)
-class Devices:
-    """The devices of a site for one setup, not yet opened."""
-
-    arms: Mapping[str, Arm] = field(default_factory=dict[str, Arm])
-    """Arms by robot."""
-    effectors: Mapping[str, Gripper | Hand] = field(default_factory=dict[str, Gripper | Hand])
-    """Grippers and hands by robot."""
-    cameras: Mapping[str, Camera] = field(default_factory=dict[str, Camera])
-    """Cameras by name."""
-    tactile: Mapping[str, Camera] = field(default_factory=dict[str, Camera])
-    """Cameras of tactile sensors by sensor."""
-    tcp: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """The site's option `tcp` by robot, where given: the pose of the TCP in the flange that the controller uses,
-    translation [m] and quaternion xyzw."""
-    platform: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Driver name of every real part: a robot, `robot/end effector`, a camera or a sensor."""
-    valid_for: float | None = None
-    """Time for which a command is valid without a new one [s]; None for three control periods."""
-    stale_after: float = 0.5
-    """Age from which a frame, or a measurement of a gripper or hand, counts as stale [s]."""
-    arm_stale_after: float = 0.25
-    """Age from which an arm's measurement counts as stale [s]."""
-    on_stale: OnStale = "fault"
-    """Reaction to a stale camera."""
-
-    def __bool__(self) -> bool:
-        """Return True if any device is real."""
-        return bool(self.platform)
 
 
 @dataclass(frozen=True, kw_only=True)

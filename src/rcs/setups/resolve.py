@@ -16,7 +16,8 @@ from rcs.envs.parts import Parts
 from rcs.envs.setup import Setup
 from rcs.envs.task import Task
 from rcs.errors import InvalidSetup, UnknownName
-from rcs.hardware.site import DeviceAddress, Devices, Site
+from rcs.hardware.devices import Devices
+from rcs.hardware.site import DeviceAddress, Site
 from rcs.kinematics.chain import damped
 from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription

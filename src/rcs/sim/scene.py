@@ -340,11 +340,8 @@ class Scene:
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
             size=[0.006, 0.0, 0.0],
             fromto=[0.0, 0.0, behind[2], *behind],
-            rgba=[0.20, 0.20, 0.22, 1.0],
-            contype=0,
-            conaffinity=0,
             group=2,
-            mass=0.0,
+            **_VISUAL,
         )
 
     def add_tactile(self, sensor: TactilePlacement) -> None:
@@ -371,11 +368,8 @@ class Scene:
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[0.012, 0.012, (top - FLOOR_HEIGHT) / 2],
             pos=[x + back[0], y + back[1], (top + FLOOR_HEIGHT) / 2],
-            rgba=[0.20, 0.20, 0.22, 1.0],
-            contype=0,
-            conaffinity=0,
             group=1,
-            mass=0.0,
+            **_VISUAL,
         )
 
     def compile(self) -> mujoco.MjModel:
@@ -392,6 +386,9 @@ class Scene:
             check_robot(robot, model)
         prepare_model(model, self.varied)
         return model
+
+
+_VISUAL = {"rgba": [0.20, 0.20, 0.22, 1.0], "contype": 0, "conaffinity": 0, "mass": 0.0}  # nothing touches it
 
 
 def _axes_looking(eye: list[float], target: list[float]) -> list[float]:

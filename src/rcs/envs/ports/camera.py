@@ -19,7 +19,7 @@ from rcs.envs.gates.gate import Gate
 from rcs.envs.ports.port import Port
 from rcs.envs.spaces import Action, Observation
 from rcs.errors import DeviceFault, InvalidSetup, Refused
-from rcs.hardware.site import OnStale
+from rcs.hardware.devices import OnStale
 from rcs.robots.calibration import CameraCalibration, describe
 from rcs.robots.description import CameraDescription
 from rcs.spatial.pinhole import Intrinsics, cropped
