@@ -14,10 +14,8 @@ using Groups = std::array<bool, mjNGROUP>;
 inline constexpr Groups kShown = {true, true, true, false, false, false};
 
 inline rcs::RenderOptions render_options(const std::string& quality, int max_width, int max_height,
-                                         const std::string& backend, const Groups& geom_groups,
-                                         bool is_rasterised = false) {
+                                         const std::string& backend, const Groups& geom_groups) {
   if (quality != "fast" && quality != "full")
     throw std::invalid_argument("there is no quality \"" + quality + "\"; known: fast, full");
-  const rcs::Quality level = quality == "fast" ? rcs::Quality::fast : rcs::Quality::full;
-  return {level, max_width, max_height, backend, geom_groups, is_rasterised};
+  return {quality == "fast" ? rcs::Quality::fast : rcs::Quality::full, max_width, max_height, backend, geom_groups};
 }

@@ -31,9 +31,6 @@ struct RenderOptions {
   std::string backend = "auto";
   /// Which groups of geoms are drawn. By custom 0 to 2 hold what one sees, 3 to 5 collision shapes.
   std::array<bool, mjNGROUP> geom_groups = {true, true, true, false, false, false};
-  /// Draw colours without OpenGL at quality `fast`, where the scene allows it; depth and ids are drawn with it. Colours
-  /// look the same but for rounding, and take half of the time that OpenGL takes without a graphics card.
-  bool is_rasterised = false;
 };
 
 /// Where a picture goes. Rows start at the top, with no gaps between them.
@@ -98,7 +95,6 @@ class Renderer {
   void show(Open& open, int camera, const Picture& picture) const;
   void prepare(Open& open, int width, int height) const;
   void draw_ids(Open& open, float* depth) const;
-  void rasterise(Open& open, int camera, const Picture& picture) const;
 
   const mjModel* model_;
   RenderOptions options_;

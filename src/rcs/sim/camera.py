@@ -257,17 +257,10 @@ class SimCameras:
         if self.world.leading:
             threads = min(self.world.core.threads, RenderPool.MOST_THREADS)
             self._renderer = RenderPool(
-                self.world.model,
-                threads=threads,
-                quality=self._quality,
-                max_width=width,
-                max_height=height,
-                is_rasterised=True,
+                self.world.model, threads=threads, quality=self._quality, max_width=width, max_height=height
             )
         else:
-            self._renderer = Renderer(
-                self.world.model, quality=self._quality, max_width=width, max_height=height, is_rasterised=True
-            )
+            self._renderer = Renderer(self.world.model, quality=self._quality, max_width=width, max_height=height)
         return self._renderer
 
     def close(self) -> None:
