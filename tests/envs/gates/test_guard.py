@@ -395,7 +395,7 @@ def test_copies_cannot_be_refused_one_by_one() -> None:
 @pytest.mark.slow
 def test_no_stream_of_far_targets_has_two_arms_touch_anything() -> None:
     """The benchmark judges by the contacts of every physics step; the guard intervenes in half of the episodes."""
-    benchmark = Path(__file__).parents[2] / "benchmarks" / "guard.py"
+    benchmark = Path(__file__).parents[3] / "benchmarks" / "guard.py"
     done = subprocess.run(
         [sys.executable, str(benchmark), "--streams", "40", "--robot", "dual_fr3"],
         capture_output=True,
