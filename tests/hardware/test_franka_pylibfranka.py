@@ -214,7 +214,7 @@ def test_another_version_of_the_protocol_is_refused_with_both(robot: VirtualProc
 
 def test_an_address_where_nobody_is_is_told_with_what_to_look_at() -> None:
     began = time.monotonic()
-    with pytest.raises(DeviceFault, match=r"127\.0\.52\.97.*refused.*cable.*FCI.*another program"):
+    with pytest.raises(DeviceFault, match=r"127\.0\.52\.97.*refused.*cable.*FCI.*other program"):
         make_arm("127.0.52.97").open()
     assert time.monotonic() - began < 3.0
 
