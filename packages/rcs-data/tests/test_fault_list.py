@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import datetime
 import errno
-import json
 import os
 import random
 import shutil
@@ -40,7 +39,7 @@ import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeWriter, Feature, check, edit, recover
 from rcs_data.errors import DatasetError, InvalidSetup
-from rcs_data.journal import line_of
+from rcs_data.files.durable import sealed, unsealed
 
 import rcs
 from rcs.envs.observers.dataset_info import dataset_info
@@ -87,7 +86,7 @@ def loop(tmp_path: Path) -> Iterator[Loop]:
 
 def endless(path: Path) -> subprocess.Popen[str]:
     """Start a program that finishes one episode and then records another without end; return when that is under way."""
-    command = [sys.executable, HERE / "record_until_killed.py", path]
+    command = [sys.executable, HERE / "record/record_until_killed.py", path]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     assert process.stdout is not None
     process.stdout.readline()
@@ -121,14 +120,14 @@ def test_1_sigkill_at_any_moment_costs_no_finished_episode_and_no_second_of_the_
 def test_2_sigkill_while_an_episode_is_completed_leaves_it_open_or_complete(tmp_path: Path) -> None:
     program = "import sys; sys.path.insert(0, sys.argv[1]); import kill_every_call as k; from pathlib import Path\n"
     program += "k.die_before_call(int(sys.argv[2])); k.record(Path(sys.argv[3]), lambda _: None)"
-    for n in (24, 30, 36, 42):  # among these the first episode becomes Parquet and gets its name
+    for n in (40, 46, 52, 58):  # among these the first episode becomes Parquet and gets its name
         path = tmp_path / str(n)
-        killed = subprocess.run([sys.executable, "-c", program, HERE, str(n), path], check=False)
+        killed = subprocess.run([sys.executable, "-c", program, HERE / "record", str(n), path], check=False)
         assert killed.returncode == 9
         recover(path)
         assert check(path).is_ok
         assert [episode.length > 0 for episode in Dataset.open(path).episodes] in ([], [True], [True, True])
-        assert not list((path / "episodes").glob(".*"))
+        assert not list((path / "open").glob("*"))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -255,7 +254,7 @@ def test_8_a_wall_clock_that_jumps_an_hour_moves_no_stamp(loop: Loop, monkeypatc
             return datetime.datetime.fromtimestamp(real() + next(jumps), tz)
 
     monkeypatch.setattr("time.time", lambda: real() + next(jumps))
-    monkeypatch.setattr("rcs_data.episode_writer.datetime", Jumping)
+    monkeypatch.setattr("rcs_data.record.episode_writer.datetime", Jumping)
     loop.episode("a", 30)
     episode = Dataset.open(loop.writer.path)["a"]
     assert episode.about["ended"] < episode.about["started"], "the clock did jump"
@@ -357,12 +356,10 @@ def test_16_a_million_rows_are_written_read_and_checked(tmp_path: Path) -> None:
 
 
 def test_17_another_layout_is_refused_and_says_what_to_do(dataset: Path) -> None:
-    path = dataset / "episodes.jsonl"
-    first, *rest = path.read_bytes().split(b"\n")
-    values = json.loads(first.rpartition(b"\t")[0])
-    for version, remedy in ((2, "Record it anew"), (4, "Update this library")):
-        values["dataset"]["schema_version"] = version
-        path.write_bytes(b"\n".join([line_of(values)[:-1], *rest]))
+    path = dataset / "dataset.json"
+    values = unsealed(path.read_bytes(), path)
+    for version, remedy in ((3, "Record it anew"), (5, "Update this library")):
+        path.write_bytes(sealed({**values, "schema_version": version}))
         for use in (Dataset.open, check, recover):
             with pytest.raises(DatasetError, match=remedy):
                 use(dataset)

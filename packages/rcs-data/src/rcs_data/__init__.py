@@ -2,4 +2,9 @@
 
 from rcs_data.lazy import load_on_use
 
-load_on_use(__name__)
+load_on_use(
+    __name__,
+    open="Dataset(path)",
+    load="Dataset(path)",
+    export="rcs_data.convert, such as rcs_data.convert.export_lerobot",
+)

@@ -16,16 +16,18 @@ class LazyPackage(ModuleType):
 
     __all__: list[str]
     _homes: dict[str, tuple[str, str]]
+    _words: dict[str, str]
 
     def __getattr__(self, name: str) -> Any:
         """Load a public name.
 
         Raises:
-            AttributeError: There is no such name; the message has the nearest match.
+            AttributeError: There is no such name; the message has the nearest match, or the word that is used here.
         """
         if name not in self._homes:
             near = difflib.get_close_matches(name, self.__all__, n=1)
             hint = f" Did you mean {near[0]!r}?" if near else ""
+            hint = f" Use {self._words[name]}." if name in self._words else hint
             names = ", ".join(self.__all__) or "none"
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}.{hint} Public names: {names}.")
         module, its_name = self._homes[name]
@@ -52,12 +54,13 @@ class LazyPackage(ModuleType):
         return importlib.import_module, (self.__name__,)
 
 
-def load_on_use(package: str) -> None:
+def load_on_use(package: str, **words: str) -> None:
     """Have a package load its public names on first use; called from its `__init__.py`.
 
     Args:
         package: Its `__name__`. The file `__init__.pyi` beside has a line `from module import name as name` for every
             public name, which type checkers read too.
+        words: What to use in place of names that other libraries have.
     """
     module = sys.modules[package]
     stub = ast.parse(Path(str(module.__file__)).with_suffix(".pyi").read_text("utf-8"))
@@ -68,5 +71,5 @@ def load_on_use(package: str) -> None:
         for alias in node.names
         if alias.asname is not None
     }
-    module.__dict__.update(__all__=sorted(homes), _homes=homes)
+    module.__dict__.update(__all__=sorted(homes), _homes=homes, _words=words)
     module.__class__ = LazyPackage

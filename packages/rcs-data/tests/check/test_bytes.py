@@ -5,22 +5,23 @@ from __future__ import annotations
 import hashlib
 import random
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from rcs_data import Dataset, DatasetWriter, check
-from rcs_data.durable import sealed, unsealed
-from rcs_data.layout import new_trash_folder, open_folder
+from rcs_data import Dataset, DatasetWriter, Feature, check
+from rcs_data.files.durable import sealed, unsealed
+from rcs_data.files.layout import new_trash, open_folder
 
 if TYPE_CHECKING:
     from conftest import MakeInfo, MakeRows
 
 STATE = 5  # the sim_state_size of make_info
 
-FILES = ("steps.parquet", "frames.arrow", "episode.json")
+FILES = ("steps.parquet", "frames.zip", "episode.json")
 
 
 def test_a_whole_dataset_has_no_findings(dataset: Path) -> None:
@@ -69,19 +70,29 @@ def test_a_group_without_rows_is_no_error_of_the_check(dataset: Path) -> None:
 def test_a_broken_image_is_located_by_row(dataset: Path) -> None:
     episode = Dataset.open(dataset)["000001"]
     jpeg = list(episode.encoded_frames("observation/frames/wrist/rgb"))[4]
-    path = episode.path / "frames.arrow"
+    path = episode.path / "frames.zip"
     data = path.read_bytes()
     start = data.index(jpeg)
     path.write_bytes(data[:start] + b"\0\0" + data[start + 2 :])
     altered, broken = check(dataset).findings
     assert (altered.kind, broken.kind, broken.rows) == ("altered", "image", (4, 4))
     assert "observation/frames/wrist/rgb" in broken.message
-    assert str(broken).startswith("damage: episodes/000001/frames.arrow, row 4: ")
+    assert str(broken).startswith("damage: episodes/000001/frames.zip, row 4: ")
 
 
 def test_files_of_another_episode_are_found(dataset: Path) -> None:
     shutil.copy(dataset / "episodes/000000/steps.parquet", dataset / "episodes/000002/steps.parquet")
     assert {finding.episode for finding in check(dataset).findings} == {"000002"}
+
+
+def test_notes_may_be_missing_in_any_step(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> None:
+    note = Feature(key="notes/latency", shape=(), dtype="float64")
+    info = replace(make_info(), features=(*make_info().features, note))
+    with DatasetWriter.open(tmp_path / "a", info) as writer, writer.episode("a", seed=0) as episode:
+        for row in make_rows(5):
+            episode.add({**row, "notes/latency": np.nan}, np.zeros(STATE))
+        episode.finish(True)
+    assert [finding.kind for finding in check(tmp_path / "a").findings if finding.kind == "not_finite"] == []
 
 
 def test_values_that_are_not_finite_are_located(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> None:
@@ -103,7 +114,7 @@ def test_loose_ends_are_found_unless_a_writer_is_at_them(
     with DatasetWriter.open(dataset, make_info(images=True), resume=True) as writer:
         writer.episode("late", seed=0).add(make_rows(1, images=True)[0], np.zeros(STATE))
         assert not check(dataset).findings
-    new_trash_folder(dataset, "gone").mkdir()
+    new_trash(dataset, "gone").mkdir(parents=True)
     (dataset / "episodes/empty").mkdir()
     found = {(finding.severity, finding.kind, finding.episode) for finding in check(dataset).findings}
     assert found == {("warning", "left_open", "late"), ("warning", "left_over", None), ("warning", "unlisted", None)}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rcs_data import check
 from rcs_data.check.report import Finding
-from rcs_data.flags import FrameFlag
+from rcs_data.files.flags import FrameFlag
 
 if TYPE_CHECKING:
     from conftest import MakeMoving, Rows
@@ -60,6 +60,17 @@ def test_frames_that_come_twice_as_new_are_found(tmp_path: Path, moving: MakeMov
 
     (finding,) = found(moving(tmp_path, fast))
     assert finding.kind == "repeated_images"
+
+
+def test_a_wrist_that_rises_from_a_bare_table_is_no_repeat(tmp_path: Path, moving: MakeMoving) -> None:
+    def bare(rows: Rows) -> None:
+        start = rows[0]["observation/joints"]
+        for i, row in enumerate(rows):
+            row["observation/joints"] = start + 0.03 * min(i, 60)
+        for row in [*rows[12:30], *rows[40:58]]:
+            row[RGB] = rows[11][RGB]
+
+    assert found(moving(tmp_path, bare)) == []
 
 
 def test_black_images_are_found_row_by_row(tmp_path: Path, moving: MakeMoving) -> None:

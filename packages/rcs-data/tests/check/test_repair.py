@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetWriter, check, edit
 from rcs_data.check.repair import Mending, repair
-from rcs_data.durable import sealed, unsealed
 from rcs_data.errors import CorruptEpisode, DatasetError
-from rcs_data.layout import new_trash_folder, open_folder
-from rcs_data.lock import DatasetLock
-from rcs_data.output import temporary_folder
+from rcs_data.files.durable import sealed, unsealed
+from rcs_data.files.layout import new_trash
+from rcs_data.files.lock import DatasetLock
+from rcs_data.files.output import temporary_folder
 
 if TYPE_CHECKING:
     from conftest import MakeInfo, MakeRows
@@ -101,7 +101,8 @@ def test_half_a_line_at_the_end_was_never_written(dataset: Path, make_info: Make
 
 
 def test_an_index_and_a_description_that_are_lost_are_told(dataset: Path) -> None:
-    scribble(dataset / "dataset.json", 100)
+    for name in ("dataset.json", "history/dataset.json"):
+        scribble(dataset / name, 100)
     scribble(dataset / INDEX, 100)
     assert {mending.what for mending in repair(dataset).mendings} == {"failed"}
     assert len(check(dataset).damage) == 2
@@ -114,12 +115,11 @@ def test_what_a_killed_writer_left_is_recovered_and_removed(
         episode = writer.episode("late", seed=0)
         for row in make_rows(4, images=True):
             episode.add(row, np.zeros(STATE))
-    new_trash_folder(dataset, "gone").mkdir()
-    shutil.copytree(dataset / "episodes/000000", dataset / "episodes/000000@1")
+    new_trash(dataset, "gone").mkdir(parents=True)
     assert {f.kind for f in check(dataset).findings} == {"left_open", "left_over"}
-    assert [(m.what, m.episode) for m in repair(dataset).mendings] == [("removed", None), ("recovered", "late")]
+    assert [(m.what, m.episode) for m in repair(dataset).mendings] == [("recovered", "late")]
     assert Dataset.open(dataset)["late"].length == 4
-    assert not list(dataset.rglob("*gone*")) and not list(dataset.rglob("*@1"))
+    assert not list(dataset.rglob("*gone*"))
     assert {f.kind for f in check(dataset).findings} == {"no_verdict"}
 
 
@@ -127,7 +127,7 @@ def test_what_a_killed_merge_left_beside_a_dataset_is_named_and_removed(dataset:
     program = f"""
         import os
         from pathlib import Path
-        from rcs_data.output import temporary_folder
+        from rcs_data.files.output import temporary_folder
         context = temporary_folder(Path({str(dataset)!r}))
         context.__enter__().mkdir()
         os.kill(os.getpid(), 9)
@@ -181,15 +181,16 @@ def test_an_episode_whose_folder_is_gone_is_no_longer_listed(dataset: Path) -> N
     assert ids(dataset) == ["000000", "000002"]
 
 
-def test_a_kill_at_any_call_leaves_something_that_can_be_repaired(dataset: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("stride", [pytest.param(1, marks=pytest.mark.slow), 11])
+def test_a_kill_at_any_call_leaves_something_that_can_be_repaired(dataset: Path, tmp_path: Path, stride: int) -> None:
     before = {e.id: e.content_hash for e in Dataset.open(dataset).episodes}
     edit.delete(dataset, ["000000"])
     scribble(file(dataset), 900)
     scribble(dataset / "dataset.json", 50)
     program = Path(__file__).parents[1] / "edit/kill_every_edit.py"
-    subprocess.run([sys.executable, program, dataset, tmp_path, "repair"], check=True, timeout=100)
+    subprocess.run([sys.executable, program, dataset, tmp_path, "repair", str(stride)], check=True, timeout=300)
     killed = [path for path in tmp_path.iterdir() if path.name.isdigit()]
-    assert len(killed) > 8, "the kill must have hit more than a few calls"
+    assert len(killed) > 8 // stride + 2, "the kill must have hit more than a few calls"
     for path in killed:
         repair(path)
         assert check(path).is_ok, path.name
@@ -213,7 +214,6 @@ def test_an_episode_of_a_newer_layout_is_no_damage_to_be_mended(dataset: Path) -
     path.write_bytes(newer)
     assert not repair(dataset).mendings
     assert path.read_bytes() == newer
-    assert open_folder(dataset, "x").name == ".open-x"
 
 
 def contents(dataset: Path) -> dict[str, tuple[str, int]]:
@@ -232,7 +232,6 @@ def test_edited_episodes_survive_the_loss_of_the_index(dataset: Path, is_pruned:
     assert (contents(dataset), Dataset.open(dataset).info) == (before, info)
     assert not check(dataset).damage
     assert not any(mending.what == "removed" for mending in mendings)
-    assert sum(mending.what == "quarantined" for mending in mendings) == (0 if is_pruned else 4)
     assert not repair(dataset).mendings
 
 
@@ -244,21 +243,6 @@ def test_a_damaged_line_costs_no_edited_episode(dataset: Path) -> None:
     place = next(number for number, line in enumerate(lines) if ID.encode() in line)
     lines[place] = lines[place].replace(b'"length"', b'"lengtj"')
     (dataset / INDEX).write_bytes(b"\n".join(lines))
-    assert any(mending.what == "restored" and mending.episode == ID for mending in repair(dataset).mendings)
+    assert any(mending.what == "recovered" and mending.episode == ID for mending in repair(dataset).mendings)
     assert contents(dataset) == before
     assert not check(dataset).damage
-
-
-@pytest.mark.parametrize("later", ["trim", "delete"])
-def test_the_line_of_an_edit_that_others_followed_is_made_up_for(dataset: Path, later: str) -> None:
-    edit.resample(dataset, 15.0)
-    edit.trim(dataset, ID, first=1) if later == "trim" else edit.delete(dataset, [ID])
-    before, info = contents(dataset), Dataset.open(dataset).info
-    lines = (dataset / INDEX).read_bytes().split(b"\n")
-    place = next(number for number, line in enumerate(lines) if b'"resample"' in line)
-    lines[place] = lines[place].replace(b'"resample"', b'"resamplf"')
-    (dataset / INDEX).write_bytes(b"\n".join(lines))
-    repair(dataset)
-    assert (contents(dataset), Dataset.open(dataset).info) == (before, info)
-    assert not check(dataset).damage
-    assert not repair(dataset).mendings

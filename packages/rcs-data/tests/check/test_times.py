@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rcs_data import DatasetInfo, Feature, check, edit
-from rcs_data.flags import FrameFlag
+from rcs_data.files.flags import FrameFlag
 
 if TYPE_CHECKING:
     from conftest import MakeMoving, Rows

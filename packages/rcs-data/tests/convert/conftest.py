@@ -1,7 +1,4 @@
-"""A dataset with all that an export may meet, made without a simulation; and a reader of TFRecord files.
-
-The reader of TFRecord files and of the Examples in them is written from the specification, not from the writer.
-"""
+"""A dataset with all that an export may meet, made without a simulation; and a reader of TFRecord files."""
 
 from __future__ import annotations
 
@@ -10,11 +7,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import google_crc32c
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
+from tfrecord import example_pb2
+from tfrecord.reader import tfrecord_iterator
+from tfrecord.writer import TFRecordWriter
 
 Example = dict[str, Any]
 MakeDataset = Callable[..., Dataset]
@@ -50,69 +49,25 @@ def parse_example() -> Callable[[bytes], Example]:
 
 
 def _records(path: Path) -> list[bytes]:
-    data = path.read_bytes()
-    records: list[bytes] = []
-    while data:
-        (length,) = struct.unpack("<Q", data[:8])
-        assert _unmasked(data[8:12]) == google_crc32c.value(data[:8])
-        record, data = data[12 : 12 + length], data[12 + length :]
-        assert len(record) == length and _unmasked(data[:4]) == google_crc32c.value(record)
-        records.append(record)
-        data = data[4:]
+    """Return the records of a file, by the package's own reader, with their checksums compared."""
+    data, at, records = path.read_bytes(), 0, list[bytes]()
+    for record in tfrecord_iterator(str(path)):
+        records.append(bytes(record))
+        size = struct.pack("<Q", len(record))
+        assert data[at : at + 12] == size + TFRecordWriter.masked_crc(size)
+        at += 12 + len(record)
+        assert data[at : at + 4] == TFRecordWriter.masked_crc(records[-1])
+        at += 4
     return records
 
 
-def _unmasked(data: bytes) -> int:
-    rotated = (struct.unpack("<I", data)[0] - 0xA282EAD8) % 2**32
-    return ((rotated >> 17) | (rotated << 15)) % 2**32
-
-
 def _example(data: bytes) -> Example:
-    ((_, features),) = _fields(data)
     values: Example = {}
-    for _, entry in _fields(features):
-        (_, name), (_, feature) = _fields(entry)
-        ((kind, items),) = _fields(feature)
-        inner = _fields(items)
-        if kind == 1:
-            values[name.decode()] = [value for _, value in inner]
-        elif kind == 2:
-            values[name.decode()] = np.frombuffer(b"".join(value for _, value in inner), "<f4")
-        else:
-            values[name.decode()] = _integers(b"".join(value for _, value in inner))
+    for name, feature in example_pb2.Example.FromString(data).features.feature.items():
+        kind = feature.WhichOneof("kind")
+        values[name] = list(getattr(feature, kind).value)
+        values[name] = np.array(values[name], np.float32) if kind == "float_list" else values[name]
     return values
-
-
-def _fields(data: bytes) -> list[tuple[int, bytes]]:
-    fields: list[tuple[int, bytes]] = []
-    at = 0
-    while at < len(data):
-        tag, at = _varint(data, at)
-        assert tag & 7 == 2
-        length, at = _varint(data, at)
-        fields.append((tag >> 3, data[at : at + length]))
-        at += length
-    assert at == len(data)
-    return fields
-
-
-def _integers(data: bytes) -> list[int]:
-    values: list[int] = []
-    at = 0
-    while at < len(data):
-        value, at = _varint(data, at)
-        values.append(value - 2**64 if value >= 2**63 else value)
-    return values
-
-
-def _varint(data: bytes, at: int) -> tuple[int, int]:
-    value, shift = 0, 0
-    while True:
-        byte = data[at]
-        value |= (byte & 127) << shift
-        at, shift = at + 1, shift + 7
-        if byte < 128:
-            return value, at
 
 
 def _made(

@@ -3,7 +3,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from rcs_data.convert.provenance import FIELDS, checked_provenance
+from rcs_data.convert.provenance import Provenance, checked_provenance
 from rcs_data.errors import CorruptEpisode
 
 WHOLE: dict[str, Any] = {
@@ -22,7 +22,7 @@ def test_what_was_written_is_taken() -> None:
         assert checked_provenance(given, "a file") == given
 
 
-@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("field", Provenance.__annotations__)
 def test_a_field_that_is_missing_is_named(field: str) -> None:
     given = {key: value for key, value in WHOLE.items() if key != field}
     with pytest.raises(CorruptEpisode, match=rf"a file is damaged.*{field}"):
@@ -41,7 +41,6 @@ def test_a_field_that_is_missing_is_named(field: str) -> None:
         ("outcome", None),
         ("instruction", 5),
         ("rows", 0),
-        ("rows", 10**18),
     ],
 )
 def test_a_field_that_cannot_be_is_named(field: str, value: Any) -> None:

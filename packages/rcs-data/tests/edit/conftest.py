@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
-from rcs_data.flags import FrameFlag
+from rcs_data.files.flags import FrameFlag
 
 RGB, DEPTH = "observation/frames/wrist/rgb", "observation/frames/wrist/depth"
 INTRINSICS = "observation/frames/wrist/intrinsics"

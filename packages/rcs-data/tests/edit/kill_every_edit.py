@@ -29,7 +29,7 @@ def sibling(path: Path) -> ModuleType:
 
 def main(source: Path, folder: Path, name: str, stride: int = 1) -> None:
     """Kill one child after the other, until one is done before its time."""
-    killing = sibling(Path(__file__).parent.parent / "kill_every_call.py")
+    killing = sibling(Path(__file__).parent.parent / "record/kill_every_call.py")
     killing.CALLS = (*killing.CALLS, "link")
     for n in range(0, 1000, stride):
         path = folder / str(n)

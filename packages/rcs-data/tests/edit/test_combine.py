@@ -103,3 +103,17 @@ def test_a_split_is_whole_or_nothing(dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="exists already"):
         edit.split(dataset, tmp_path / "out", parts={"train": 0.5, "val": 0.5})
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["val"]
+
+
+def test_a_merge_syncs_once_at_its_end(
+    tmp_path: Path, make_dataset: MakeDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A kill throws away what it has made until then."""
+    counts: list[int] = []
+    for episodes in (2, 6):
+        source, calls = make_dataset(tmp_path / f"of-{episodes}", [3] * episodes), list[int]()
+        with monkeypatch.context() as patch:
+            patch.setattr("os.fsync", calls.append)
+            edit.merge([source], tmp_path / f"merged-{episodes}")
+        counts.append(len(calls))
+    assert counts[0] == counts[1] <= 3

@@ -89,7 +89,7 @@ def test_other_features_are_refused_with_what_differs_or_mapped(tmp_path: Path, 
     edit.resample(sim, 10)
     parts = [Part(path=real), Part(path=sim)]
     with pytest.raises(
-        DatasetError, match=r"(?s)real and sim do not fit.*frequency: real has 30.0, sim has 10\n.*frames/hand"
+        DatasetError, match=r"(?s)real and sim do not fit.*frequency: real has 30.0, sim has 10.0\n.*frames/hand"
     ):
         mix(parts, tmp_path / "mix")
     how = Harmonise(rename={"real": {"hand": "wrist"}}, size=(12, 8), frequency=10)

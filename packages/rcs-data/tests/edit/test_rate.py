@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rcs_data import Dataset, check, edit
 from rcs_data.edit.rate import kept_rows
 from rcs_data.errors import InvalidSetup
-from rcs_data.flags import FrameFlag
+from rcs_data.files.flags import FrameFlag
 
 if TYPE_CHECKING:
     from conftest import MakeDataset

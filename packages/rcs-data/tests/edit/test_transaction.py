@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord, check, edit, recover
 from rcs_data.errors import DatasetError, InvalidSetup
-from rcs_data.lock import DatasetLock
+from rcs_data.files.lock import DatasetLock
 
 if TYPE_CHECKING:
     from conftest import MakeDataset
@@ -29,19 +29,30 @@ def state(path: Path) -> tuple[str, DatasetInfo, tuple[str, ...]]:
     return dataset.digest(), dataset.info, tuple(episode.instruction for episode in dataset.episodes)
 
 
+def kill_every_edit(source: Path, folder: Path, name: str, stride: int = 1) -> None:
+    """Edit copies of a dataset, each killed before another call."""
+    program = [sys.executable, HERE / "kill_every_edit.py", source, folder, name, str(stride)]
+    subprocess.run(program, check=True, timeout=300)
+
+
+EVERY_CALL = pytest.param(1, marks=pytest.mark.slow)
+"""Kills before every call take half a minute; the default tests do some."""
+
+
+@pytest.mark.parametrize("stride", [EVERY_CALL, 7])
 @pytest.mark.parametrize("name", ["delete", "trim", "relabel", "undo"])
 def test_a_kill_before_any_call_leaves_the_dataset_before_or_after_the_edit(
-    tmp_path: Path, make_dataset: MakeDataset, name: str
+    tmp_path: Path, make_dataset: MakeDataset, name: str, stride: int
 ) -> None:
     source = make_dataset(tmp_path / "set", [7, 3])
     if name == "undo":
         edit.delete(source, ["000000"])
     before = state(source)
-    subprocess.run([sys.executable, HERE / "kill_every_edit.py", source, tmp_path, name], check=True, timeout=100)
+    kill_every_edit(source, tmp_path, name, stride)
     killed = sorted((path for path in tmp_path.iterdir() if path.name.isdigit()), key=lambda path: int(path.name))
     after = state(killed[-1])
     assert before != after
-    assert len(killed) > 5, "the kill must have hit more than a few calls"
+    assert len(killed) > 3, "the kill must have hit more than a few calls"
     seen = [state(path) for path in killed]
     assert set(map(str, seen)) == {str(before), str(after)}
     assert seen == sorted(seen, key=lambda found: found == after), "once it is done, it stays done"
@@ -53,11 +64,14 @@ def test_a_kill_before_any_call_leaves_the_dataset_before_or_after_the_edit(
             {"delete": lambda p: edit.delete(p, ["000001"]), "undo": edit.undo}.get(name, lambda _: None)(path)
 
 
-def test_a_killed_merge_leaves_nothing_or_all_of_the_new_dataset(tmp_path: Path, make_dataset: MakeDataset) -> None:
+@pytest.mark.parametrize("stride", [EVERY_CALL, 11])
+def test_a_killed_merge_leaves_nothing_or_all_of_the_new_dataset(
+    tmp_path: Path, make_dataset: MakeDataset, stride: int
+) -> None:
     source = make_dataset(tmp_path / "set", [4, 3])
-    subprocess.run([sys.executable, HERE / "kill_every_edit.py", source, tmp_path, "merge"], check=True, timeout=100)
+    kill_every_edit(source, tmp_path, "merge", stride)
     merged = [path for path in tmp_path.iterdir() if path.name.endswith("-merged")]
-    assert 1 <= len(merged) <= 6  # of kills after it was put in place
+    assert 1 <= len(merged) <= 12  # of kills after it was put in place
     for path in merged:
         assert check(path).is_ok
         assert len(Dataset.open(path)) == 4
@@ -92,7 +106,7 @@ def test_after_an_undo_another_edit_can_be_made_and_undone(dataset: Path) -> Non
 def first_row(episode: EpisodeRecord) -> tuple[dict[str, Any], NDArray[np.float64]]:
     """Return an episode's first row and state, as they are recorded."""
     features = episode.info.features
-    row = {f.key: None if f.can_be_held and f.is_image else episode.column(f.key)[0] for f in features}
+    row = {f.key: None if f.is_image else episode.column(f.key)[0] for f in features}
     given = {key: value for key, value in row.items() if not key.startswith(("action", "executed", "reward"))}
     return {**given, "time/period": None}, episode.sim_state()[0]
 
@@ -117,14 +131,9 @@ def test_what_was_recorded_since_an_edit_is_not_lost_by_an_undo(dataset: Path) -
     with DatasetWriter.open(dataset, info, resume=True) as writer:
         last = Dataset.open(dataset).episodes[0]
         record(writer, "new", last)
-    edit.undo(dataset)
-    assert [e.id for e in Dataset.open(dataset).episodes] == ["000000", "000001", "000002", "000003", "new"]
-    edit.rename_camera(dataset, "wrist", "hand")
-    with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
-        record(writer, "newer", Dataset.open(dataset).episodes[0])
-    with pytest.raises(DatasetError, match="do not fit what the dataset was before"):
+    with pytest.raises(DatasetError, match=r"Episodes came to .* since 'delete'"):
         edit.undo(dataset)
-    assert "newer" in Dataset.open(dataset)
+    assert [e.id for e in Dataset.open(dataset).episodes] == ["000000", "000002", "000003", "new"]
 
 
 def test_the_id_of_a_deleted_episode_is_free_and_neither_episode_is_lost(dataset: Path) -> None:
@@ -136,7 +145,7 @@ def test_the_id_of_a_deleted_episode_is_free_and_neither_episode_is_lost(dataset
     assert check(dataset).is_ok
     edit.delete(dataset, ["000001"])
     edit.undo(dataset)
-    with pytest.raises(DatasetError, match=r"000001 were recorded into .* since 'delete'.* under the same ids"):
+    with pytest.raises(DatasetError, match=r"Episodes came to .* since 'delete'"):
         edit.undo(dataset)
     assert Dataset.open(dataset)["000001"].length == 1
     with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
@@ -153,7 +162,7 @@ def test_what_was_recorded_is_remembered_through_later_edits(dataset: Path, late
         record(writer, "new", Dataset.open(dataset).episodes[0])
     edit.delete(dataset, ["000001"]) if later == "delete" else edit.relabel(dataset, "push", episodes=["000001"])
     edit.undo(dataset)
-    with pytest.raises(DatasetError, match="do not fit what the dataset was before"):
+    with pytest.raises(DatasetError, match="Episodes came to"):
         edit.undo(dataset)
     assert check(dataset).is_ok
 
@@ -181,17 +190,16 @@ def test_undo_waits_for_what_a_killed_recording_left_open(dataset: Path) -> None
     with pytest.raises(DatasetError, match="run recover first"):
         edit.undo(dataset)
     recover(dataset)
-    with pytest.raises(DatasetError, match="under the same ids"):
+    with pytest.raises(DatasetError, match="Episodes came to"):
         edit.undo(dataset)
 
 
-def test_a_hundred_edits_add_a_line_each(dataset: Path) -> None:
-    journal = dataset / "episodes.jsonl"
-    size = journal.stat().st_size
-    for number in range(100):
+def test_thirty_edits_leave_the_index_as_short_as_it_was(dataset: Path) -> None:
+    for number in range(30):
         edit.relabel(dataset, f"pick {number}", episodes=["000001"])
-    assert journal.stat().st_size - size < 100 * 300
-    assert [e.instruction for e in Dataset.open(dataset)][1] == "pick 99"
+    assert len((dataset / "episodes.jsonl").read_bytes().splitlines()) == 4
+    assert [e.instruction for e in Dataset.open(dataset)][1] == "pick 29"
+    assert [line.number for line in Dataset.open(dataset).history] == [*range(1, 31)]
     assert len(list((dataset / "episodes").iterdir())) == 4
 
 
@@ -202,11 +210,11 @@ def test_unchanged_episodes_take_no_space_and_pruning_frees_what_changed(dataset
     before = size()
     edit.delete(dataset, ["000001"])
     assert size() == before
-    deleted = sum(p.stat().st_size for p in (dataset / "episodes/000001").iterdir())
+    deleted = sum(p.stat().st_size for p in (dataset / "former/000001").iterdir())
     assert edit.prune(dataset) == deleted
     assert check(dataset).is_ok
     assert [e.id for e in Dataset.open(dataset).episodes] == ["000000", "000002", "000003"]
-    with pytest.raises(DatasetError, match="pruned does not come back"):
+    with pytest.raises(DatasetError, match="were pruned"):
         edit.undo(dataset)
 
 
@@ -285,7 +293,7 @@ def test_a_full_disk_is_freed_by_deleting_and_pruning(full_disk: Path) -> None:
     before = Dataset.open(full_disk)["000002"].content_hash
     with pytest.raises(DatasetError, match="No space left"):
         recover(full_disk)
-    assert not (full_disk / "episodes/.open-open/steps.parquet").exists(), "half a file would take what is left"
+    assert not (full_disk / "open/open/steps.parquet").exists(), "half a file would take what is left"
     edit.delete(full_disk, ["000001"])
     assert edit.prune(full_disk) > 1 << 16
     assert recover(full_disk).recovered == ("open",)
@@ -296,7 +304,7 @@ def test_a_full_disk_is_freed_by_deleting_and_pruning(full_disk: Path) -> None:
 
 def test_on_a_full_disk_former_episodes_can_be_pruned_at_once(full_disk: Path) -> None:
     assert edit.prune(full_disk) > 1 << 14
-    assert not any(finding.kind in ("left_over", "not_undoable") for finding in check(full_disk).findings)
+    assert not any(finding.kind == "left_over" for finding in check(full_disk).findings)
     assert [episode.length for episode in Dataset.open(full_disk)] == [59, 30, 20]
 
 
@@ -305,7 +313,7 @@ def test_a_killed_prune_can_be_done_again(tmp_path: Path, make_dataset: MakeData
     edit.trim(source, "000000", first=1)
     edit.delete(source, ["000001"])
     before = state(source)
-    subprocess.run([sys.executable, HERE / "kill_every_edit.py", source, tmp_path, "prune"], check=True, timeout=100)
+    kill_every_edit(source, tmp_path, "prune")
     killed = [path for path in tmp_path.iterdir() if path.name.isdigit()]
     assert len(killed) > 5, "the kill must have hit more than a few calls"
     for path in killed:
@@ -313,7 +321,7 @@ def test_a_killed_prune_can_be_done_again(tmp_path: Path, make_dataset: MakeData
         report = check(path)
         assert report.is_ok, str(report)
         edit.prune(path)
-        assert not any(finding.kind in ("left_over", "not_undoable") for finding in check(path).findings)
+        assert not any(finding.kind == "left_over" for finding in check(path).findings)
         assert [folder.name for folder in (path / "episodes").iterdir()] == ["000000@1"]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rcs_data import DatasetInfo, DatasetWriter, Feature
-from rcs_data.flags import FrameFlag
+from rcs_data.files.flags import FrameFlag
 
 LENGTHS = {"000000": 40, "000001": 25, "000002": 33}
 SUCCESS = {"000000": True, "000001": False, "000002": None}

@@ -10,8 +10,8 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
-from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, Windows
-from rcs_data.view import ClipOptions, write_report, write_sample, write_view
+from rcs_data import DatasetInfo, DatasetWriter, Feature
+from rcs_data.view import ClipOptions, write_report, write_view
 
 pytestmark = pytest.mark.browser
 
@@ -320,19 +320,6 @@ def test_the_report_is_the_same_page_in_one_file(filmed: Path, tmp_path: Path, s
     assert row_shown(browser, WRIST) == pytest.approx(17, abs=0.45)
     browser.press("k")
     browser.wait("document.body.dataset.episode === '000000'")
-
-
-def test_a_sample_tells_the_numbers_under_the_pointer(filmed: Path, tmp_path: Path, chromium: Browser) -> None:
-    windows = Windows(Dataset.open(filmed), cameras=["side"], horizon=8)
-    chromium.errors.clear()
-    chromium.open(write_sample(windows, tmp_path / "sample.html", count=2).path.as_uri())
-    assert not chromium.errors
-    assert chromium.run("[...document.images].every((image) => image.naturalWidth === 81)")
-    moved = "new PointerEvent('pointermove', {clientX: 700})"
-    chromium.run(f"document.querySelectorAll('svg')[2].dispatchEvent({moved})")
-    told = chromium.run("[...document.querySelectorAll('.readout')].map((one) => one.textContent)")
-    assert told[:2] == ["", ""], "of the state, whose numbers are counted, nothing"
-    assert all(text.startswith("step ") and "joints_2" in text for text in told[2:4])
 
 
 def test_a_page_that_was_interrupted_says_so(filmed: Path, tmp_path: Path, chromium: Browser) -> None:

@@ -8,9 +8,11 @@ from typing import Any
 import av
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord, Feature
 from rcs_data.errors import CorruptEpisode, InvalidSetup
-from rcs_data.view.clips import ClipOptions, Codec, pictures, write_clip
+from rcs_data.view.clips import ClipOptions, Codec, coloured, pictures, write_clip
 
 FRAME = "observation/frames/a/rgb"
 
@@ -132,7 +134,24 @@ def test_what_does_not_decode_is_named(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_senseless_options_are_refused() -> None:
-    with pytest.raises(InvalidSetup, match="at least 16"):
+    with pytest.raises(InvalidSetup, match="height is 8; valid: a whole number from 16"):
         ClipOptions(height=8)
-    with pytest.raises(InvalidSetup, match="h264, vp9"):
+    with pytest.raises(InvalidSetup, match="valid: 'h264', 'vp9'"):
         ClipOptions(codec="av2")  # pyright: ignore[reportArgumentType]
+
+
+@given(st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))
+def test_the_larger_number_is_never_darker(low: float, span: float) -> None:
+    values = np.linspace(low - span, low + 2 * span, 200)[None]
+    colours = coloured(values, (low, low + span))[0].astype(float)
+    assert colours.shape == (200, 3)
+    lightness = colours @ (0.2126, 0.7152, 0.0722)
+    assert (np.diff(lightness) >= -1).all()  # a step of rounding
+    assert lightness[-1] > lightness[0] + 150
+
+
+def test_no_number_is_black_and_no_number_else_is() -> None:
+    assert not coloured(np.array([[np.nan, np.inf]]), (0, 1)).any()
+    assert coloured(np.array([[0.0]]), (0, 1)).any()
+    assert not coloured(np.array([[0]], np.uint16), (0, 1)).any()
+    assert coloured(np.array([[1]], np.uint16), (1, 5)).any()

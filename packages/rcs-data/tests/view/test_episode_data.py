@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord, Feature
-from rcs_data.flags import FrameFlag
+from rcs_data.files.flags import FrameFlag
 from rcs_data.view.episode_data import curves, episode_data, rounded
 
 IMAGE = Feature(key="observation/frames/a/rgb", shape=(8, 8, 3), dtype="uint8", encoding="jpeg")

@@ -6,28 +6,24 @@ import errno
 import hashlib
 from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
-from rcs_data.about import read_about
 from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
 from rcs_data.check.folder import is_as_written
 from rcs_data.check.report import Finding, counted
-from rcs_data.codec import decode_frame
-from rcs_data.content import ContentHash, flat_numbers
-from rcs_data.episode_images import EpisodeImages
-from rcs_data.episode_record import EpisodeRecord
 from rcs_data.errors import CorruptEpisode, DatasetError
-from rcs_data.frames_file import FramesFile
-from rcs_data.info import DatasetInfo
-from rcs_data.json_file import read_bytes
-from rcs_data.layout import EPISODE_FILE, FRAMES_FILE, STEPS_FILE
-from rcs_data.timing import TimingMeter
-from rcs_data.video_codec import LARGEST_ERROR, block_error
-from rcs_data.video_packets import VideoDecoder
+from rcs_data.files.about import read_about
+from rcs_data.files.codec import decode_frame
+from rcs_data.files.feature import NOTES
+from rcs_data.files.frames_file import FramesFile
+from rcs_data.files.info import DatasetInfo
+from rcs_data.files.json_file import read_bytes
+from rcs_data.files.layout import EPISODE_FILE, FRAMES_FILE, STEPS_FILE
+from rcs_data.read.content import ContentHash, flat_numbers
+from rcs_data.read.episode_record import EpisodeRecord, decoded
 
 # An image without a value above this is black; JPEG turns 0 into up to 2.
 _BLACK = 8
@@ -44,25 +40,23 @@ class EpisodeBytes:
         self._info = info
         self._reads_rows = depth != "bytes"
         self._decode_frames = depth == "frames"
-        self._videos = {f.key: VideoDecoder(f) for f in info.features if f.video is not None}
         self.rows = EpisodeRows(info)
         self.frames = 0
         """Number of decoded images."""
-        self.timing: dict[str, Any] = {}
-        """The timing report computed from the rows."""
 
     def findings(self) -> Iterator[Finding]:
         """Yield all damage, and numbers that are not finite as warnings."""
+        path = self._place.folder / EPISODE_FILE
         try:
             about = read_about(self._place.folder)
+            written = read_bytes(path)
         except DatasetError as err:
             yield self._damage("other_layout", str(err), EPISODE_FILE)
             return
         except CorruptEpisode as err:
             yield self._damage("altered", str(err), EPISODE_FILE)
             return
-        path = self._place.folder / EPISODE_FILE
-        if not is_as_written(read_bytes(path), about):
+        if not is_as_written(written, about):
             yield self._damage("altered", "is readable, but its bytes are not those that were written", EPISODE_FILE)
         self.rows.about = about
         altered = yield from self._altered_files()
@@ -72,7 +66,7 @@ class EpisodeBytes:
     def _altered_files(self) -> Generator[Finding, None, set[str]]:
         """Compare the files with their hashes; return the names of those that differ."""
         altered: set[str] = set()
-        for name in (STEPS_FILE, FRAMES_FILE) if self._info.has_images else (STEPS_FILE,):
+        for name in self.rows.about["sha256"]:
             path = self._place.folder / name
             try:
                 if sha256_of(path) == self.rows.about["sha256"].get(name):
@@ -86,18 +80,17 @@ class EpisodeBytes:
         return altered
 
     def _check_rows(self) -> Iterator[Finding]:
-        content, meter, not_finite = ContentHash(self._info), TimingMeter(self._info), _NotFinite()
+        content, not_finite = ContentHash(self._info), _NotFinite()
         first = 0
         try:
-            for rows in EpisodeRecord(self._place.folder, self._info).rows(packets=True):
+            for rows in EpisodeRecord(self._place.folder, self._info).rows():
                 for key in rows.column_names:
                     column = rows.column(key)
                     if pa.types.is_binary(column.type):
                         yield from self._check_images(key, column, first)
-                    else:
+                    elif not key.startswith(NOTES):
                         not_finite.add(key, column, first)
                 content.add(rows)
-                meter.add(rows)
                 self.rows.add(rows)
                 first += rows.num_rows
         except CorruptEpisode as err:
@@ -106,7 +99,6 @@ class EpisodeBytes:
         for key, (number, start, end) in not_finite.found.items():
             message = f"{key!r} is not finite in {counted(number, 'row')}"
             yield self._place.finding("warning", "not_finite", message, rows=(start, end))
-        self.timing = meter.report()
         if content.hexdigest() != self.rows.about["content_hash"]:
             yield self._damage("content", "its values are not those that were written", STEPS_FILE)
 
@@ -118,14 +110,8 @@ class EpisodeBytes:
             if data is not None and self._decode_frames:
                 try:
                     darkest = 0 if feature.colour is None else _BLACK
-                    video = self._videos.get(key)
-                    shown = decode_frame(feature, data) if video is None else video.decode(data)
-                    is_black = int(shown.max()) <= darkest
+                    is_black = int(decode_frame(feature, data).max()) <= darkest
                     self.frames += 1
-                    if video is not None and _is_alike(shown, log.shown):
-                        data = log.last
-                    elif video is not None:
-                        log.shown = shown
                 except CorruptEpisode as err:
                     yield self._damage("image", f"{key!r}: {err}", FRAMES_FILE, (row, row))
             log.is_new.append(data is not None)
@@ -139,7 +125,7 @@ class EpisodeBytes:
         features = [feature for feature in self._info.features if feature.is_image]
         try:
             numbers = record.image_numbers(feature.key for feature in features)
-            images = FramesFile(record.path / FRAMES_FILE, mapped=False)
+            images = FramesFile(record.path / FRAMES_FILE)
         except CorruptEpisode as err:
             if not (altered and (record.path / FRAMES_FILE).is_file()):
                 return
@@ -148,10 +134,9 @@ class EpisodeBytes:
         for feature in features:
             broken: list[int] = []
             column = numbers[feature.key]
-            seen = EpisodeImages(feature, self._info, images, column)
             for row in np.flatnonzero(np.diff(column, prepend=-1)).tolist():
                 try:
-                    seen.decoded(int(column[row]))
+                    decoded(feature, images, int(column[row]), row)
                 except CorruptEpisode:
                     broken.append(row)
             if broken:
@@ -160,12 +145,6 @@ class EpisodeBytes:
 
     def _damage(self, kind: str, message: str, file: str, rows: tuple[int, int] | None = None) -> Finding:
         return self._place.finding("damage", kind, message, file=file, rows=rows)
-
-
-def _is_alike(one: NDArray[Any], other: NDArray[Any] | None) -> bool:
-    """Return whether two images of a video may be of one and the same: their packets differ also then."""
-    height = len(one)
-    return other is not None and block_error(one.reshape(height, -1), other.reshape(height, -1)) <= LARGEST_ERROR / 5
 
 
 class _NotFinite:

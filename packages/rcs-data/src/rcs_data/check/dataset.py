@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from rcs_data.check.bytes import EpisodeBytes
 from rcs_data.check.episode_rows import EpisodePlace, is_joints
-from rcs_data.check.folder import check_beside, check_folder, check_index
+from rcs_data.check.folder import MOST_LOOKS, check_beside, check_folder, check_index, stamps
 from rcs_data.check.images import check_images
 from rcs_data.check.labels import check_labels, check_verdicts
 from rcs_data.check.motion import check_motion
 from rcs_data.check.report import CheckReport, Finding
-from rcs_data.check.times import check_times, check_timing
-from rcs_data.index import Entry, State
-from rcs_data.info import MERGED, DatasetInfo
-from rcs_data.layout import EPISODE_FILE, episode_folder, has_dataset
-from rcs_data.output import OnProgress
+from rcs_data.check.times import check_times
+from rcs_data.errors import CorruptEpisode
+from rcs_data.files.info import MERGED, DatasetInfo
+from rcs_data.files.layout import EPISODE_FILE, FORMER_FOLDER, episode_folder, folder_names, has_dataset, present_folder
+from rcs_data.files.output import OnProgress
+from rcs_data.index.entry import Entry
+from rcs_data.index.history import history
 
 Depth = Literal["bytes", "rows", "frames"]
 """How far a check looks: that every byte is what was written; what the rows say, too; that every image decodes, too."""
-
-_Found = list[tuple[Entry, list[Finding]]]
 
 
 def check(
@@ -52,43 +54,47 @@ def check(
     root = Path(path)
     if not has_dataset(root) and (left := check_beside(root)):
         return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=tuple(left))
-    state, findings = check_folder(root)
-    if state is None:
+    contents, findings = check_folder(root)
+    if contents is None:
         return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=tuple(findings))
-    entries = [entry for _, entry in sorted(state.episodes.items())]
-    is_resampled = _is_resampled(state)
+    info, before = contents.info, stamps(root)
+    entries = [entry for _, entry in sorted(contents.entries.items())]
+    one = partial(_check_episode, root, info, _is_resampled(root, info), depth)
     rows = frames = 0
-    found: _Found = []
+    found: list[tuple[Entry, list[Finding]]] = []
     with ThreadPoolExecutor(workers or os.cpu_count() or 1, thread_name_prefix="check episodes") as pool:
-        results = pool.map(lambda entry: _check_episode(root, entry, state.info, is_resampled, depth), entries)
-        for number, (its_rows, its_frames, its_findings) in enumerate(results):
+        for entry, (its_rows, its_frames, its_findings) in zip(entries, pool.map(one, entries), strict=True):
             rows, frames = rows + its_rows, frames + its_frames
-            found.append((entries[number], its_findings))
+            found.append((entry, its_findings))
             if on_progress is not None:
-                on_progress(number + 1, len(entries))
-    former: _Found = [(entry, list(_check_former(root, entry, state.info))) for entry in state.former_entries()]
-    now = state
-    if any(its_findings for _, its_findings in (*found, *former)):
-        now = check_index(root)[0] or state  # an edit may have removed what was just read
-    findings += _of_those_left(found, now.episodes.values())
+                on_progress(len(found), len(entries))
+    former = [finding for name in folder_names(root, FORMER_FOLDER) for finding in _check_former(root, name, info)]
+    for _ in range(MOST_LOOKS):
+        now = stamps(root)
+        if now == before or not (former or any(its_findings for _, its_findings in found)):
+            break
+        # An edit may have moved what was being read, or removed it.
+        before, present = now, (check_index(root)[0] or contents).entries.values()
+        found = [(entry, one(entry)[2]) for entry, its_findings in found if its_findings and entry in present]
+        former = [finding for finding in former if (root / finding.file).parent.is_dir()]
+    findings += [finding for _, its_findings in found for finding in its_findings]
     findings += check_verdicts({entry.id: entry.success for entry in entries})
-    # `prune` removes folders before the index forgets them.
-    findings += _of_those_left(former, (e for e in now.former_entries() if episode_folder(root, e.folder).is_dir()))
+    findings += former
     return CheckReport(
         path=root,
         episodes=len(entries),
         rows=rows,
         frames=frames,
         findings=tuple(findings),
-        notes=tuple(_unlimited(state.info)),
+        notes=tuple(_unlimited(info)),
     )
 
 
 def _check_episode(
-    root: Path, entry: Entry, info: DatasetInfo, is_resampled: bool, depth: Depth
+    root: Path, info: DatasetInfo, is_resampled: bool, depth: Depth, entry: Entry
 ) -> tuple[int, int, list[Finding]]:
     """Return how many rows and decoded images an episode has, and what is wrong with it."""
-    place = EpisodePlace(root, episode_folder(root, entry.folder), entry.id)
+    place = EpisodePlace(root, present_folder(episode_folder(root, entry.folder)), entry.id)
     if not place.folder.is_dir():
         return 0, 0, []  # told with the folder
     bytes_ = EpisodeBytes(place, info, depth=depth)
@@ -103,21 +109,14 @@ def _check_episode(
             findings += check_times(place, rows, is_resampled=is_resampled)
             findings += check_images(place, rows)
             findings += check_motion(place, rows)
-            findings += check_timing(place, about, bytes_.timing)
     return int(about.get("length", 0)), bytes_.frames, findings
 
 
-def _check_former(root: Path, entry: Entry, info: DatasetInfo) -> Iterator[Finding]:
+def _check_former(root: Path, name: str, info: DatasetInfo) -> Iterator[Finding]:
     """Yield damage of an episode that only undo can bring back."""
-    place = EpisodePlace(root, episode_folder(root, entry.folder), entry.id)
-    if place.folder.is_dir():  # or in quarantine
-        for finding in EpisodeBytes(place, info, depth="bytes").findings():
-            yield replace(finding, kind="former", message=f"{finding.message}; undo would bring back a damaged episode")
-
-
-def _of_those_left(found: _Found, left: Iterable[Entry]) -> list[Finding]:
-    folders = {entry.folder for entry in left}
-    return [finding for entry, findings in found if entry.folder in folders for finding in findings]
+    place = EpisodePlace(root, root / FORMER_FOLDER / name, name)
+    for finding in EpisodeBytes(place, info, depth="bytes").findings():
+        yield replace(finding, kind="former", message=f"{finding.message}; undo would bring back a damaged episode")
 
 
 def _check_entry(place: EpisodePlace, entry: Entry, about: dict[str, Any]) -> Iterator[Finding]:
@@ -128,9 +127,11 @@ def _check_entry(place: EpisodePlace, entry: Entry, about: dict[str, Any]) -> It
             yield place.finding("damage", "other_episode", message, file=EPISODE_FILE)
 
 
-def _is_resampled(state: State) -> bool:
-    was_edited = any(edit.command == "resample" for edit in state.history)
-    return was_edited or "imported" in state.info.setup or not {"mix", MERGED}.isdisjoint(state.info.origin)
+def _is_resampled(root: Path, info: DatasetInfo) -> bool:
+    was_edited = False
+    with suppress(CorruptEpisode):  # told with the folder
+        was_edited = any(edit.command == "resample" for edit in history(root))
+    return was_edited or "imported" in info.setup or not {"mix", MERGED}.isdisjoint(info.origin)
 
 
 def _unlimited(info: DatasetInfo) -> Iterator[str]:

@@ -11,11 +11,11 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from rcs_data.check.report import Finding, Severity
-from rcs_data.content import flat_numbers
-from rcs_data.feature import SIMULATED_TIME, Feature
-from rcs_data.flags import camera_of, companion
-from rcs_data.info import DatasetInfo
-from rcs_data.layout import STEPS_FILE
+from rcs_data.files.feature import SIMULATED_TIME, Feature
+from rcs_data.files.flags import camera_of, companion
+from rcs_data.files.info import DatasetInfo
+from rcs_data.files.layout import STEPS_FILE
+from rcs_data.read.content import flat_numbers
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,11 @@ class FrameLog:
     is_new: list[bool] = field(default_factory=list[bool])
     """Whether the row has a new image."""
     is_same: list[bool] = field(default_factory=list[bool])
-    """Whether the new image equals the one before it byte for byte; of a video, as far as its quality tells."""
+    """Whether the new image equals the one before it byte for byte."""
     is_black: list[bool] = field(default_factory=list[bool])
     """Whether the new image is black; False where images were not decoded."""
     last: bytes | None = None
     """The latest image."""
-    shown: NDArray[np.uint8] | None = None
-    """Of a video whose images are decoded: what those since have been alike."""
 
 
 class EpisodeRows:

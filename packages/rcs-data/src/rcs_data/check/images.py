@@ -1,4 +1,4 @@
-"""Checks the images of an episode: frozen or repeated although the robot moves, black, or missing without a flag."""
+"""Checks the images of an episode: frozen or repeated although the robot moves, or black."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
 from rcs_data.check.report import Finding, counted
-from rcs_data.flags import FrameFlag
 
 # A camera is frozen if its image stays the same for longer than this and three of its periods while the robot moves.
 _FREEZE_S = 1.0
@@ -17,12 +16,11 @@ _FREEZE_PERIODS = 3
 # How far a joint of every arm must move meanwhile [rad], so that even a small, distant image would show it.
 _MOVED = 0.1
 _MOVED_IN_A_STEP = 0.02
-# New images that equal the one before byte for byte. A sensor's noise prevents them; a simulation without noise has a
-# few, where a wrist moves over a bare table.
+# New images that equal the one before byte for byte. A sensor's noise prevents them. A simulation without noise has
+# them where a wrist moves over a bare table, in one or two runs; a camera slower than its flags say repeats all along.
 _REPEATS = 10
 _REPEATED_SHARE = 0.1
-
-_KNOWN = FrameFlag.REPEATED | FrameFlag.STALE | FrameFlag.MISSING | FrameFlag.DROPPED
+_REPEATED_RUNS = 5
 
 
 def check_images(place: EpisodePlace, rows: EpisodeRows) -> Iterator[Finding]:
@@ -36,26 +34,6 @@ def check_images(place: EpisodePlace, rows: EpisodeRows) -> Iterator[Finding]:
                 yield place.warning("black", f"{key!r} is black in {counted(len(black), 'row')}", black)
         if not _is_tactile(rows, camera):  # a gel without contact looks the same everywhere
             yield from _frozen(place, rows, camera, keys)
-        wrong = np.flatnonzero(right_flags(rows, keys) != _flags(rows, keys))
-        if len(wrong):
-            message = (
-                f"the flags of {camera!r} disagree with its images in {counted(len(wrong), 'row')}; --repair sets them"
-            )
-            yield place.warning("flags", message, wrong)
-
-
-def right_flags(rows: EpisodeRows, keys: list[str]) -> NDArray[np.uint8]:
-    """Return corrected flags of a camera: every row without an image has a reason, and no bit is unknown."""
-    flags = _flags(rows, keys) & np.uint8(_KNOWN)
-    has_all = np.all([rows.frames[key].is_new for key in keys], axis=0)
-    is_unexplained = ~has_all & (flags == 0)
-    return np.where(is_unexplained, flags | np.uint8(FrameFlag.MISSING), flags).astype(np.uint8)
-
-
-def _flags(rows: EpisodeRows, keys: list[str]) -> NDArray[np.uint8]:
-    flags = rows.flags(keys[0])
-    # Without flags, as in the first layout, there is nothing to check.
-    return np.full(rows.length, np.uint8(FrameFlag.REPEATED)) if flags is None else flags
 
 
 def _frozen(place: EpisodePlace, rows: EpisodeRows, camera: str, keys: list[str]) -> Iterator[Finding]:
@@ -82,7 +60,9 @@ def _frozen(place: EpisodePlace, rows: EpisodeRows, camera: str, keys: list[str]
             continue
         moves = np.min([np.abs(np.diff(column, axis=0)).max(axis=1) for column in joints], axis=0)
         repeated = np.flatnonzero(is_same[1:] & (moves > _MOVED_IN_A_STEP)) + 1
-        if len(repeated) >= _REPEATS and len(repeated) > _REPEATED_SHARE * is_new.sum():
+        runs_of_it = np.count_nonzero(np.diff(repeated, prepend=-1) > 1)
+        is_often = len(repeated) >= _REPEATS and len(repeated) > _REPEATED_SHARE * is_new.sum()
+        if is_often and runs_of_it >= _REPEATED_RUNS:
             times = counted(len(repeated), "row")
             message = f"{key!r} is marked as new but equals the image before in {times} while the robot moves"
             yield place.warning("repeated_images", message, repeated)

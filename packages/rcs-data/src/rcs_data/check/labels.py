@@ -7,7 +7,7 @@ from typing import Any
 
 from rcs_data.check.episode_rows import EpisodePlace
 from rcs_data.check.report import Finding, listed
-from rcs_data.layout import EPISODE_FILE, EPISODES_FOLDER
+from rcs_data.files.layout import EPISODE_FILE, EPISODES_FOLDER
 
 # Fewer episodes than this may all fail by chance.
 _FEW = 3

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
 from rcs_data.check.report import Finding, counted
-from rcs_data.joint_bounds import JointBounds
+from rcs_data.files.joint_bounds import JointBounds
 
 # Tolerance of joint limits [rad]: simulated limits are springs, and encoders have offsets.
 _BEYOND = 0.02

@@ -11,26 +11,26 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from rcs_data.about import read_about
 from rcs_data.check.dataset import Depth, check
-from rcs_data.check.folder import WholeLines, check_index, described, whole_lines
+from rcs_data.check.folder import check_index, whole_entries
 from rcs_data.check.report import counted
-from rcs_data.durable import disk_errors, sync_folder
 from rcs_data.errors import CorruptEpisode, DatasetError
-from rcs_data.index import Changes, Entry, State
-from rcs_data.journal import Journal, write_state
-from rcs_data.layout import (
-    JOURNAL_FILE,
+from rcs_data.files.durable import disk_errors, sync_folder
+from rcs_data.files.layout import (
+    DATASET_FILE,
+    FORMER_FOLDER,
+    HISTORY_FOLDER,
+    INDEX_FILE,
     QUARANTINE_FOLDER,
-    edit_number,
     episode_folder,
-    episodes_folder,
     has_dataset,
     open_folder,
 )
-from rcs_data.lock import DatasetLock
-from rcs_data.output import OnProgress, remove_leftovers
-from rcs_data.recover import settle_leftovers, stray_folders, write_description
+from rcs_data.files.lock import DatasetLock
+from rcs_data.files.output import OnProgress, remove_leftovers
+from rcs_data.index.history import Draft, damaged_history, finish_edit
+from rcs_data.index.index import Index, write_info
+from rcs_data.record.recover import settle_leftovers
 
 What = Literal["restored", "recovered", "removed", "quarantined", "failed"]
 
@@ -84,21 +84,20 @@ def repair(
     mendings: list[Mending] = []
     with disk_errors("repair", root):
         mendings += [_done("removed", f"{left.name}, left by a killed program") for left in remove_leftovers(target)]
-    if mendings and not has_dataset(root) and described(root) is None:
+    if mendings and not has_dataset(root) and not (root / DATASET_FILE).exists():
         return RepairReport(mendings=tuple(mendings))
     check_index(root)  # before a lock is created
     with DatasetLock.writer(root), disk_errors("repair", root):
-        mendings += _mend_index(root)
         try:
-            journal = Journal(root)
+            finish_edit(root)
+            mendings += _mend_index(root)
+            index = Index(root)
         except CorruptEpisode as err:
             return RepairReport(mendings=(*mendings, _done("failed", str(err))))
-        mendings += _settle(journal)
+        mendings += _settle(index)
         findings = check(root, depth=depth, workers=workers, on_progress=on_progress).findings
         damaged = {f.episode for f in findings if f.severity == "damage" and f.kind not in ("former", "other_layout")}
-        mendings += _put_aside(
-            journal, sorted(name for name in damaged if name is not None and name in journal.state.episodes)
-        )
+        mendings += _put_aside(index, sorted(name for name in damaged if name is not None and name in index.entries))
         for folder in sorted({root / Path(f.file).parent for f in findings if f.kind == "former"}):
             _move(root, folder)
             mendings.append(_done("quarantined", f"{folder.name}, a damaged former episode; undo cannot bring it back"))
@@ -106,90 +105,55 @@ def repair(
 
 
 def _mend_index(root: Path) -> list[Mending]:
-    """Restore the index and `dataset.json` from what is whole."""
+    """Restore `dataset.json` and its copy from each other, and the index from its whole lines."""
     mendings: list[Mending] = []
-    findings = check_index(root)[1]
-    if any(finding.file == JOURNAL_FILE for finding in findings):
-        lines = whole_lines(root)
-        if lines.state is None:
-            return []
-        mendings += _take_lost_edits(root, lines, lines.state)
-        count = lines.damaged
-        if not episodes_folder(root).is_dir():
-            episodes_folder(root).mkdir()
-        write_state(root, lines.state)
-        what = f"the index without {counted(count, 'damaged line')}" if count else "the index, from dataset.json"
-        mendings.append(
-            _done("restored", f"{what}; episodes that it does not have any more are taken from their folders")
-        )
-    elif findings:
-        mendings.append(_done("restored", "dataset.json, from the index"))
-    if findings:
-        write_description(root, Journal(root).state.info)
+    contents, findings = check_index(root)
+    if contents is None:
+        return []
+    files = {finding.file for finding in findings if finding.kind != "history"}
+    if files - {INDEX_FILE}:
+        write_info(root, contents.info)
+        mendings.append(_done("restored", f"{DATASET_FILE}, of which there are two"))
+    if INDEX_FILE in files:
+        Index.create(root, contents.info, whole_entries(root))
+        count = len(whole_entries(root))
+        message = f"the index, with {counted(count, 'whole line')}; other episodes are taken from their folders"
+        mendings.append(_done("restored", message))
+    for path, _ in list(damaged_history(root)):
+        _move(root, path)
+        mendings.append(_done("quarantined", f"{HISTORY_FOLDER}/{path.name}; undo cannot go back to it"))
     return mendings
 
 
-def _take_lost_edits(root: Path, lines: WholeLines, state: State) -> list[Mending]:
-    """Add to what the index says what its lost lines did: the newest folders that edits wrote, and what is shared.
-
-    Folders of edits that stay unlisted are put aside; nothing tells whether they are garbage.
-    """
-    told = described(root)
-    state.info = state.info if told is None else told.info
-    deleted = {name for one in state.former for name in one.entries} - set(state.episodes)
-    mendings: list[Mending] = []
-    for folder in sorted(stray_folders(root, state)[0], key=lambda folder: edit_number(folder.name)):
-        try:
-            entry = Entry.of(read_about(folder), folder.name, state.info)
-        except (CorruptEpisode, DatasetError):
-            entry = None
-        present = None if entry is None else state.episodes.get(entry.id)
-        is_newer = edit_number(folder.name) > (-1 if present is None else edit_number(present.folder))
-        if entry is not None and is_newer and entry.id not in deleted and folder.name not in lines.folders:
-            state.episodes[entry.id] = entry
-            mendings.append(Mending(what="restored", episode=entry.id, message=f"from {folder.name}"))
-    kept = {entry.folder for entry in state.episodes.values()}
-    former = [episode_folder(root, entry.folder) for entry in state.former_entries() if entry.folder not in kept]
-    for folder in filter(Path.is_dir, former):
-        _move(root, folder)
-        mendings.append(_done("quarantined", f"{folder.name}, a former episode; undo cannot bring it back"))
-    for folder in stray_folders(root, state)[0]:
-        if folder.name not in kept:
-            _move(root, folder)
-            mendings.append(_done("quarantined", f"{folder.name}, of an edit whose line in the index is lost"))
-    return mendings
-
-
-def _settle(journal: Journal) -> list[Mending]:
+def _settle(index: Index) -> list[Mending]:
     """Complete and remove what killed programs left."""
-    garbage, unlisted = stray_folders(journal.root, journal.state)
-    mendings = [_done("removed", f"{folder.name}, left by a killed program") for folder in garbage]
-    unreadable = set(unlisted)
-    report = settle_leftovers(journal, "recover")
+    report = settle_leftovers(index, "recover")
     completed = (*report.recovered, *report.published)
-    mendings += [Mending(what="recovered", episode=name, message="completed, and in the index") for name in completed]
+    mendings = [Mending(what="recovered", episode=name, message="completed, and in the index") for name in completed]
     mendings += [Mending(what="removed", episode=name, message="had no rows") for name in report.removed]
     for name, why in report.failed:
-        folder = episode_folder(journal.root, name)
-        if folder in unreadable:
-            _move(journal.root, folder)
-        else:  # it would be in the way of every edit
-            _move(journal.root, open_folder(journal.root, name), f"open-{name}")
+        folder = open_folder(index.root, name)
+        if folder.exists():  # it would be in the way of every edit
+            _move(index.root, folder, f"open-{name}")
+        else:
+            _move(index.root, episode_folder(index.root, name))
         mendings.append(Mending(what="quarantined", episode=name, message=why))
     return mendings
 
 
-def _put_aside(journal: Journal, damaged: list[str]) -> list[Mending]:
+def _put_aside(index: Index, damaged: list[str]) -> list[Mending]:
     """Take damaged episodes out of the index, and move their folders to the quarantine."""
     if not damaged:
         return []
-    folders = {name: episode_folder(journal.root, journal.state.episodes[name].folder) for name in damaged}
-    journal.edit("repair", {"episodes": damaged}, Changes(dropped=tuple(damaged)))
+    root = index.root
+    folders = {name: index.entries[name].folder for name in damaged}
+    kept = {name: entry for name, entry in index.entries.items() if name not in folders}
+    Draft(index).decide("repair", {"episodes": damaged}, kept, index.info)
     mendings: list[Mending] = []
     for name, folder in folders.items():
         where = "its folder is gone"
-        if folder.exists():
-            where = f"damaged; its files are in {_move(journal.root, folder).relative_to(journal.root)}"
+        if (root / FORMER_FOLDER / folder).exists():
+            where = f"damaged; its files are in {_move(root, root / FORMER_FOLDER / folder).relative_to(root)}"
         mendings.append(Mending(what="quarantined", episode=name, message=where))
     return mendings
 

@@ -1,18 +1,15 @@
-"""Checks the times of an episode: clocks that run backwards, missing steps, a loop off its rate, a wrong report."""
+"""Checks the times of an episode: clocks that run backwards, missing steps, a loop off its rate."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
-from rcs_data.check.report import Finding, counted, listed
-from rcs_data.feature import SIMULATED_TIME
-from rcs_data.flags import FrameFlag, time_key
-from rcs_data.layout import EPISODE_FILE
+from rcs_data.check.report import Finding, counted
+from rcs_data.files.feature import SIMULATED_TIME
+from rcs_data.files.flags import FrameFlag, time_key
 
 # A period this many times the nominal one means that at least one step is missing, as in the timing report.
 _GAP = 1.5
@@ -89,28 +86,3 @@ def _camera_flags(place: EpisodePlace, rows: EpisodeRows) -> Iterator[Finding]:
             flagged = np.flatnonzero(flags & flag)
             if len(flagged):
                 yield place.warning(kind, f"{camera!r}: {meaning}, in {counted(len(flagged), 'row')}", flagged)
-
-
-def check_timing(place: EpisodePlace, about: dict[str, Any], found: dict[str, Any]) -> Iterator[Finding]:
-    """Yield a warning if the stored report disagrees with the rows.
-
-    Entries that only one of them has are ignored, since versions report different things.
-    """
-    wrong = list(_differences("", about.get("timing"), found))
-    if wrong:
-        message = f"the timing report disagrees with the rows in {listed(wrong)}; --repair recomputes it"
-        yield place.finding("warning", "timing", message, file=EPISODE_FILE)
-
-
-def _differences(name: str, stored: Any, found: Any) -> Iterator[str]:
-    if isinstance(stored, dict) and isinstance(found, dict):
-        for key in sorted(stored.keys() & found.keys()):
-            yield from _differences(f"{name}.{key}" if name else str(key), stored[key], found[key])
-    elif not _is_equal(stored, found):
-        yield name or "all of it"
-
-
-def _is_equal(stored: Any, found: Any) -> bool:
-    if isinstance(stored, float | int) and isinstance(found, float | int):
-        return math.isclose(stored, found, rel_tol=1e-6, abs_tol=1e-9)
-    return stored == found

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from rcs_data.cli.verbs import Table
+from rcs_data.cli.program import Table
 
 VERBS: Table = {
-    "info": "rcs_data.cli.info:InfoCommand",
+    "info": "rcs_data.cli.view:InfoCommand",
     "check": "rcs_data.cli.check:CheckCommand",
-    "recover": "rcs_data.cli.recover:RecoverCommand",
+    "recover": "rcs_data.cli.check:RecoverCommand",
     "delete": "rcs_data.cli.edit:DeleteCommand",
     "keep": "rcs_data.cli.edit:KeepCommand",
     "trim": "rcs_data.cli.edit:TrimCommand",
@@ -22,10 +22,9 @@ VERBS: Table = {
     "merge": "rcs_data.cli.combine:MergeCommand",
     "mix": "rcs_data.cli.combine:MixCommand",
     "view": "rcs_data.cli.view:ViewCommand",
-    "sample": "rcs_data.cli.sample:SampleCommand",
-    "export": "rcs_data.cli.export:ExportCommand",
-    "import": "rcs_data.cli.import_:ImportCommand",
-    "pull": "rcs_data.cli.hub:PullCommand",
-    "push": "rcs_data.cli.hub:PushCommand",
-    "recipe": "rcs_data.cli.recipe:RecipeCommand",
+    "export": "rcs_data.cli.convert:ExportCommand",
+    "import": "rcs_data.cli.convert:ImportCommand",
+    "pull": "rcs_data.cli.convert:PullCommand",
+    "push": "rcs_data.cli.convert:PushCommand",
+    "recipe": "rcs_data.cli.convert:RecipeCommand",
 }

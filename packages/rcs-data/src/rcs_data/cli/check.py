@@ -1,4 +1,4 @@
-"""`rcs-data check`: find what is wrong with a dataset, and repair what can be repaired."""
+"""`rcs-data check` and `recover`: find what is wrong with a dataset, and repair what can be repaired."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from rcs_data import CheckReport, check
+from rcs_data import CheckReport, check, recover
 from rcs_data.check.dataset import Depth
 from rcs_data.check.repair import RepairReport, repair
 from rcs_data.cli.console import plain_console, progress
-from rcs_data.layout import has_dataset
+from rcs_data.files.layout import has_dataset
 
 # Width of a table in a file or pipe [columns]; no line is folded.
 _WIDE = 1000
@@ -33,8 +33,6 @@ class CheckCommand:
     """Folder of the dataset."""
     depth: Depth = "frames"
     """How far to look: that every `bytes` is what was written; the `rows` too; that all `frames` decode, too."""
-    fast: bool = False
-    """The same as `--depth bytes`."""
     strict: bool = False
     """Exit with code 1 for warnings, too."""
     repair: bool = False
@@ -43,17 +41,16 @@ class CheckCommand:
     """Print JSON instead of a table."""
 
     def run(self) -> int:
-        """Repair if asked to, check, and print the findings."""
+        """Repair with `--repair`, check, and print the findings."""
         mended: RepairReport | None = None
-        depth = "bytes" if self.fast else self.depth
         if self.repair:
             with progress("Looking for damage") as on_progress:
-                mended = repair(self.path, depth=depth, on_progress=on_progress)
+                mended = repair(self.path, depth=self.depth, on_progress=on_progress)
         if mended is not None and mended.mendings and not has_dataset(self.path):  # but what was to become one
             report = CheckReport(path=self.path, episodes=0, rows=0, frames=0, findings=())
         else:
             with progress("Checking") as on_progress:
-                report = check(self.path, depth=depth, on_progress=on_progress)
+                report = check(self.path, depth=self.depth, on_progress=on_progress)
         if self.json:
             repaired = None if mended is None else mended.to_json()
             print(json_.dumps({**report.to_json(), "repair": repaired}, indent=1, ensure_ascii=False))
@@ -78,3 +75,17 @@ def _show(report: CheckReport, mended: RepairReport | None) -> None:
     for note in report.notes:
         console.print(f"note: {note}")
     console.print(report.summary)
+
+
+@dataclass(kw_only=True)
+class RecoverCommand:
+    """Complete the episodes that a killed recording left open."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+
+    def run(self) -> int:
+        """Recover and print what was done."""
+        report = recover(self.path)
+        plain_console().print(str(report))
+        return 0

@@ -12,7 +12,7 @@ from rich.table import Table
 from rcs_data import Dataset, edit
 from rcs_data.cli.console import plain_console, progress
 from rcs_data.errors import InvalidSetup
-from rcs_data.verdicts import Verdicts
+from rcs_data.read.verdicts import Verdicts
 
 
 @dataclass(kw_only=True)

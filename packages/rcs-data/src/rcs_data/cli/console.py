@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from rcs_data.output import OnProgress
+from rcs_data.files.output import OnProgress
 
 # Control codes in a dataset must not move the cursor, colour the screen or rename the window.
 _CONTROLS = {code: "\ufffd" for code in (*range(0x20), *range(0x7F, 0xA0)) if chr(code) not in "\n\t"}

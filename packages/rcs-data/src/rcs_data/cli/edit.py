@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import tyro
 from rich.table import Table
@@ -13,25 +12,26 @@ from rich.table import Table
 from rcs_data import Dataset, edit
 from rcs_data.cli.console import plain_console, progress
 from rcs_data.errors import InvalidSetup
-from rcs_data.index import Edit
 
 Which = Literal["listed", "failed", "successful", "unjudged"]
 _VERDICTS: dict[str, bool | None] = {"failed": False, "successful": True, "unjudged": None}
 
 
 @dataclass(kw_only=True)
-class _Edit(ABC):
+class _Edit:
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
 
-    def run(self) -> int:
-        """Edit, and print what the dataset has now."""
-        self._edit()
-        plain_console().print(f"{_contents(self.path)}. Undo: `rcs-data undo {self.path}`.")
+    def show(self, hint: str = "") -> int:
+        """Print what the dataset has now, and a hint."""
+        dataset = Dataset.open(self.path)
+        rows = sum(episode.length for episode in dataset.episodes)
+        plain_console().print(f"{len(dataset)} episodes, {rows} rows at {dataset.info.frequency:g} Hz.{hint}")
         return 0
 
-    @abstractmethod
-    def _edit(self) -> None: ...
+    def done(self) -> int:
+        """Print what the dataset has now, and how to undo the edit."""
+        return self.show(f" Undo: `rcs-data undo {self.path}`.")
 
 
 @dataclass(kw_only=True)
@@ -58,16 +58,20 @@ class _Selection(_Edit):
 class DeleteCommand(_Selection):
     """Delete episodes of a dataset; `undo` restores them."""
 
-    def _edit(self) -> None:
+    def run(self) -> int:
+        """Delete, and print what is left."""
         edit.delete(self.path, self.ids())
+        return self.done()
 
 
 @dataclass(kw_only=True)
 class KeepCommand(_Selection):
     """Delete all episodes but some; `undo` restores them."""
 
-    def _edit(self) -> None:
+    def run(self) -> int:
+        """Delete the others, and print what is left."""
         edit.keep(self.path, self.ids())
+        return self.done()
 
 
 @dataclass(kw_only=True)
@@ -81,8 +85,10 @@ class TrimCommand(_Edit):
     last: int = -1
     """The row that becomes the last; negative numbers count from the end."""
 
-    def _edit(self) -> None:
+    def run(self) -> int:
+        """Trim, and print what is left."""
         edit.trim(self.path, self.episode, first=self.first, last=self.last)
+        return self.done()
 
 
 @dataclass(kw_only=True)
@@ -94,8 +100,10 @@ class RelabelCommand(_Edit):
     episodes: tuple[str, ...] = ()
     """Ids of episodes; default: all."""
 
-    def _edit(self) -> None:
+    def run(self) -> int:
+        """Relabel, and print what the dataset has."""
         edit.relabel(self.path, self.instruction, episodes=self.episodes or None)
+        return self.done()
 
 
 @dataclass(kw_only=True)
@@ -107,9 +115,11 @@ class RenameCameraCommand(_Edit):
     to: str
     """Its new name."""
 
-    def _edit(self) -> None:
+    def run(self) -> int:
+        """Rename, and print what the dataset has."""
         with progress("Renaming") as on_progress:
             edit.rename_camera(self.path, self.name, self.to, on_progress=on_progress)
+        return self.done()
 
 
 @dataclass(kw_only=True)
@@ -119,9 +129,11 @@ class ResampleCommand(_Edit):
     frequency: float
     """The new rate [Hz]."""
 
-    def _edit(self) -> None:
+    def run(self) -> int:
+        """Resample, and print what is left."""
         with progress("Resampling") as on_progress:
             edit.resample(self.path, self.frequency, on_progress=on_progress)
+        return self.done()
 
 
 @dataclass(kw_only=True)
@@ -131,24 +143,22 @@ class ResizeCommand(_Edit):
     size: tuple[int, int]
     """Width and height [px]."""
 
-    def _edit(self) -> None:
+    def run(self) -> int:
+        """Resize, and print what the dataset has."""
         with progress("Resizing") as on_progress:
             edit.resize(self.path, self.size, on_progress=on_progress)
+        return self.done()
 
 
 @dataclass(kw_only=True)
-class UndoCommand:
+class UndoCommand(_Edit):
     """Undo the last edit that is not undone yet."""
-
-    path: tyro.conf.Positional[Path]
-    """Folder of the dataset."""
 
     def run(self) -> int:
         """Undo it, and print what it was and what the dataset has now."""
         undone = edit.undo(self.path)
-        plain_console().print(f"Undid {undone.command} with {_arguments(undone)}, of {undone.at}.")
-        plain_console().print(f"{_contents(self.path)}.")
-        return 0
+        plain_console().print(f"Undid {undone.command} with {_words(undone.arguments)}, of {undone.at}.")
+        return self.show()
 
 
 @dataclass(kw_only=True)
@@ -162,26 +172,9 @@ class HistoryCommand:
         """Print a line per edit."""
         table = Table("when", "what", "with", "episodes after", box=None, pad_edge=False)
         for line in Dataset.open(self.path).history:
-            table.add_row(line.at, line.command, _arguments(line), str(line.episodes))
+            table.add_row(line.at, line.command, _words(line.arguments), str(line.episodes))
         plain_console().print(table)
         return 0
-
-
-def _contents(path: Path) -> str:
-    dataset = Dataset.open(path)
-    rows = sum(episode.length for episode in dataset.episodes)
-    return f"{len(dataset)} episodes, {rows} rows at {dataset.info.frequency:g} Hz"
-
-
-def _arguments(line: Edit) -> str:
-    return ", ".join(f"{key}={_short(value)}" for key, value in line.arguments.items() if value is not None)
-
-
-def _short(value: object) -> str:
-    if not isinstance(value, list):
-        return str(value)
-    items = cast(list[object], value)
-    return f"{items[0]} … {items[-1]} ({len(items)})" if len(items) > 2 else " ".join(map(str, items))
 
 
 @dataclass(kw_only=True)
@@ -193,6 +186,14 @@ class PruneCommand:
 
     def run(self) -> int:
         """Prune and print how much was freed."""
-        freed = edit.prune(self.path)
-        plain_console().print(f"{freed / 1e6:.1f} MB freed.")
+        plain_console().print(f"{edit.prune(self.path) / 1e6:.1f} MB freed.")
         return 0
+
+
+def _words(arguments: dict[str, Any]) -> str:
+    return ", ".join(f"{key}={_short(value)}" for key, value in arguments.items() if value is not None)
+
+
+def _short(value: object) -> str:
+    items = cast(list[object], value) if isinstance(value, list) else [value]
+    return f"{items[0]} … {items[-1]} ({len(items)})" if len(items) > 2 else " ".join(map(str, items))

@@ -10,7 +10,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction, arg
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 REGISTRY = ConstructorRegistry()
-"""What `tyro.cli` is to know of the fields of commands."""
+"""Rules of `tyro.cli` for the fields of commands."""
 
 _at_work: list[Any] = []
 

@@ -1,9 +1,12 @@
+from rcs_data.convert.hdf5.aloha import import_aloha as import_aloha
+from rcs_data.convert.hdf5.robomimic import export_robomimic as export_robomimic
+from rcs_data.convert.hdf5.robomimic_import import import_robomimic as import_robomimic
 from rcs_data.convert.labels import row_texts as row_texts
-from rcs_data.convert.lerobot import export_lerobot as export_lerobot
-from rcs_data.convert.lerobot_import import import_lerobot as import_lerobot
+from rcs_data.convert.lerobot.export import export_lerobot as export_lerobot
+from rcs_data.convert.lerobot.import_ import import_lerobot as import_lerobot
+from rcs_data.convert.mcap.export import export_mcap as export_mcap
 from rcs_data.convert.options import ExportOptions as ExportOptions
 from rcs_data.convert.options import ExportReport as ExportReport
 from rcs_data.convert.options import ImportOptions as ImportOptions
-from rcs_data.convert.rlds import export_rlds as export_rlds
-from rcs_data.convert.robomimic import export_robomimic as export_robomimic
-from rcs_data.convert.robomimic_import import import_robomimic as import_robomimic
+from rcs_data.convert.rlds.export import export_rlds as export_rlds
+from rcs_data.convert.rlds.import_ import import_rlds as import_rlds

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs_data.errors import CorruptEpisode
-from rcs_data.reader import EpisodeRecord
+from rcs_data.read.reader import EpisodeRecord
 
 LABELS = "labels"
 """Key of an outcome: texts by feature."""

@@ -16,11 +16,11 @@ from rcs_data.convert.options import (
     stored_as,
 )
 from rcs_data.errors import InvalidSetup
-from rcs_data.feature import Feature
-from rcs_data.info import DatasetInfo
-from rcs_data.output import size_on_disk
-from rcs_data.reader import Dataset, EpisodeRecord
-from rcs_data.trajectory import FRAMES, OBSERVATION, VectorLayout
+from rcs_data.files.feature import DTYPES, DType, Feature
+from rcs_data.files.info import DatasetInfo
+from rcs_data.files.output import size_on_disk
+from rcs_data.read.reader import Dataset, EpisodeRecord
+from rcs_data.read.trajectory import FRAMES, OBSERVATION, VectorLayout
 
 ACTION_DICT = "action_dict/"
 """Begins the keys of other forms of the action, which are no part of it; zeros in the first row."""
@@ -83,6 +83,13 @@ def is_done(feature: Feature) -> bool:
     """Return whether a feature describes what a step did, not the observation before it."""
     is_end = feature.key in ("terminated", "truncated")
     return is_end or feature.is_unknown_at_reset or feature.key.startswith(ACTION_DICT)
+
+
+def kept_dtype(name: str) -> DType | None:
+    """Return the dtype of a dataset that numbers of others become, float32 for halves; None if there is none."""
+    return next(
+        (known for known in DTYPES if known == {"float16": "float32", "bfloat16": "float32"}.get(name, name)), None
+    )
 
 
 def camera_feature(camera: str, shape: tuple[int, ...], dtype: str, options: ImportOptions) -> Feature | None:

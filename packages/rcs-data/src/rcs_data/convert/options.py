@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import get_args
+from typing import Literal
 
 from rcs_data.errors import InvalidSetup, require_fields
-from rcs_data.feature import Feature
-from rcs_data.output import OnProgress
-from rcs_data.reader import Dataset, EpisodeRecord
-from rcs_data.video_format import VideoCodec
+from rcs_data.files.feature import Feature
+from rcs_data.files.info import Quality
+from rcs_data.files.output import OnProgress
+from rcs_data.options import Positive, Record, Whole
+from rcs_data.read.reader import Dataset, EpisodeRecord
+
+VideoCodec = Literal["h264", "av1"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExportOptions:
+class ExportOptions(Record):
     """How to export a dataset.
 
     Raises:
@@ -36,7 +38,7 @@ class ExportOptions:
     """Cameras to export; None for all, an empty tuple (`none` on the command line) for none."""
     robot_type: str | None = None
     """Name of the robot in the export; None for that in the setup."""
-    fps: int | None = None
+    fps: Whole | None = None
     """Frame rate to claim [Hz], if the format needs a whole number; None for the true one."""
     codec: VideoCodec = "h264"
     """Compression of videos, in formats that have them."""
@@ -44,42 +46,30 @@ class ExportOptions:
     """Whether to compress images without loss, if the format leaves the choice: smaller, but slower to read."""
     name: str | None = None
     """Name of the export, in formats that store one; None for that of the dataset's folder."""
-    splits: tuple[str, ...] = ("train",)
-    """Splits with their shares of the episodes, such as train=0.9 val=0.1, in RLDS."""
-    shard_mb: int = 200
+    shard_mb: Whole = 200
     """Largest size of a file of several episodes [MB], in RLDS."""
     normalise: bool = False
     """Whether to scale each number of the action to [-1, 1], as robomimic's policies expect; the file has the scale."""
-    workers: int = 1
+    workers: Whole = 1
     """Threads that encode, one core each."""
     on_progress: OnProgress | None = None
     """Called now and then while the export runs."""
 
-    def __post_init__(self) -> None:
-        """Check the values."""
-        if self.codec not in get_args(VideoCodec):
-            raise InvalidSetup(f"The codec is {self.codec!r}; valid are {', '.join(get_args(VideoCodec))}.")
-        if self.fps is not None and self.fps < 1:
-            raise InvalidSetup(f"fps is {self.fps}; it must be at least 1.")
-        if self.shard_mb < 1:
-            raise InvalidSetup(f"shard_mb is {self.shard_mb}; it must be at least 1.")
-        if self.workers < 1:
-            raise InvalidSetup(f"workers is {self.workers}; it must be at least 1.")
 
+class ImportOptions(Record):
+    """How to import a dataset of another format.
 
-@dataclass(frozen=True, kw_only=True)
-class ImportOptions:
-    """How to import a dataset of another format."""
+    Raises:
+        InvalidSetup: An option does not make sense.
+    """
 
-    jpeg_quality: int = 95
+    jpeg_quality: Quality = 95
     """1 to 100; images are compressed again, so a value below the default is visible."""
     lossless: bool = False
     """Whether to store colour images without loss instead."""
-    video: VideoCodec | None = None
-    """Codec of the videos as which to store colour images instead."""
     instruction: str | None = None
-    """What the robot was asked to do, if the source does not say."""
-    frequency: float | None = None
+    """The instruction, if the source does not say."""
+    frequency: Positive | None = None
     """Control steps per second [Hz], if the source does not say."""
     episodes: tuple[str, ...] | None = None
     """Numbers of episodes to import, and ranges such as 0-99 or 200-; None for all."""
@@ -91,13 +81,6 @@ class ImportOptions:
     """Called now and then while the import runs."""
     on_note: Callable[[str], object] | None = None
     """Called with a sentence for each episode that was left out."""
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        if self.lossless and self.video is not None:
-            raise InvalidSetup(f"Images are stored without loss or as {self.video}; choose one of lossless and video.")
-        if self.frequency is not None and not self.frequency > 0:
-            raise InvalidSetup(f"frequency is {self.frequency}; valid is a number above 0.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,18 +98,12 @@ class ExportReport:
     bytes_written: int
     """Size on disk."""
     notes: tuple[str, ...] = ()
-    """What was left out or changed, one sentence each."""
+    """Omissions and changes, one sentence each."""
 
 
 def stored_as(feature: Feature, options: ImportOptions) -> Feature:
-    """Return a feature of an imported dataset, its images encoded according to the options.
-
-    Raises:
-        InvalidSetup: The codec does not support their size.
-    """
-    if feature.colour is None:
-        return feature
-    return replace(feature, encoding="lossless" if options.lossless else options.video or feature.encoding)
+    """Return a feature of an imported dataset, its images encoded according to the options."""
+    return replace(feature, encoding="lossless") if options.lossless and feature.colour is not None else feature
 
 
 def refuse_unused(options: ExportOptions, format_: str, used: Collection[str]) -> None:

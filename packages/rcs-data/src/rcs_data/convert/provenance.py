@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from rcs_data.about import MOST_ROWS, MOST_SEED
+import msgspec
+from typing_extensions import TypedDict
+
 from rcs_data.errors import CorruptEpisode
-from rcs_data.layout import is_name
-from rcs_data.reader import EpisodeRecord
+from rcs_data.files.json_file import check_fields
+from rcs_data.files.layout import is_name
+from rcs_data.read.reader import EpisodeRecord
 
-FIELDS = ("episode", "seed", "success", "outcome", "instruction", "rows")
-"""Fields that an import needs."""
+
+class Provenance(TypedDict):
+    """The fields that an import needs."""
+
+    episode: str
+    seed: int | None
+    success: bool | None
+    outcome: dict[str, Any]
+    instruction: str
+    rows: Annotated[int, msgspec.Meta(ge=1)]
 
 
 def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
@@ -41,26 +52,11 @@ def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
 
 
 def checked_provenance(values: Any, path: Path | str) -> dict[str, Any]:
-    """Return checked values of `episode_provenance` that a file stored.
-
-    Raises:
-        CorruptEpisode: A field is missing or not valid.
-    """
-    if not isinstance(values, dict):
-        raise CorruptEpisode(f"{path} is damaged: it has {values!r:.80} for an episode.")
-    given: dict[str, Any] = values
-    if missing := [field for field in FIELDS if field not in given]:
-        raise CorruptEpisode(f"{path} is damaged: an episode lacks {', '.join(missing)}.")
-    seed, rows, name = given["seed"], given["rows"], given["episode"]
-    is_right = {
-        "episode": isinstance(name, str) and is_name(name),
-        "seed": seed is None or (type(seed) is int and abs(seed) < MOST_SEED),
-        "success": given["success"] is None or isinstance(given["success"], bool),
-        "outcome": isinstance(given["outcome"], dict),
-        "instruction": isinstance(given["instruction"], str),
-        "rows": type(rows) is int and 1 <= rows <= MOST_ROWS,
-    }
-    for field, right in is_right.items():
-        if not right:
-            raise CorruptEpisode(f"{path} is damaged: {field} of an episode is {given[field]!r:.80}.")
-    return given
+    """Return values of `episode_provenance` that a file stored; CorruptEpisode if a field is missing or not valid."""
+    try:
+        check_fields(values, Provenance)
+        if not is_name(values["episode"]):
+            raise msgspec.ValidationError("the id of an episode cannot be a folder's name")
+    except msgspec.ValidationError as err:
+        raise CorruptEpisode(f"{path} is damaged: {err}.") from err
+    return values

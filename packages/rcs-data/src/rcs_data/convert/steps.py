@@ -13,19 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rcs_data.convert.observations import is_done
 from rcs_data.convert.options import ImportOptions
 from rcs_data.errors import CorruptEpisode
-from rcs_data.feature import Feature
-from rcs_data.flags import FrameFlag, companion
-from rcs_data.info import DatasetInfo
-from rcs_data.output import new_output
-from rcs_data.reader import Dataset
-from rcs_data.rows import Value
-from rcs_data.video_packets import is_packet
-from rcs_data.writer import DatasetWriter
+from rcs_data.files.feature import Feature
+from rcs_data.files.flags import FrameFlag, companion
+from rcs_data.files.info import DatasetInfo
+from rcs_data.files.output import new_output
+from rcs_data.read.reader import Dataset
+from rcs_data.record.rows import Value
+from rcs_data.record.writer import DatasetWriter
 
 _PROGRESS_ROWS = 32
 
@@ -37,35 +35,33 @@ class StepColumn:
     feature: Feature
     """The feature."""
     values: Iterable[Any]
-    """A value per step, or per row if it `is_whole`: of the feature's shape, or an encoded image."""
+    """A value per step: of the feature's shape, or an encoded image."""
     last: Any = None
     """The observation after the last step; None to repeat the one before."""
-    is_whole: bool = False
-    """Whether there is a value for the reset and one after each step."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeAbout:
-    """What is known of an episode beside its rows."""
+    """The description of an episode beside its rows."""
 
     id: str
     """Its id in the dataset."""
     instruction: str = ""
-    """What the robot was asked to do."""
+    """Its instruction."""
     seed: int | None = None
     """The seed it was reset with."""
     success: bool | None = None
     """Whether it succeeded."""
     outcome: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """What else is known about how it went."""
+    """The rest of its outcome."""
     imported: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """Where it is from, as JSON."""
+    """Its origin, as JSON."""
 
     @classmethod
-    def of_provenance(cls, came: Mapping[str, Any], imported: Mapping[str, Any]) -> EpisodeAbout:
+    def of_provenance(cls, origin: Mapping[str, Any], imported: Mapping[str, Any]) -> EpisodeAbout:
         """Return what a checked `provenance` stores of an episode."""
-        given = {name: came[name] for name in ("instruction", "seed", "success", "outcome")}
-        return cls(id=came["episode"], **given, imported={**imported, "provenance": dict(came)})
+        given = {name: origin[name] for name in ("instruction", "seed", "success", "outcome")}
+        return cls(id=origin["episode"], **given, imported={**imported, "provenance": dict(origin)})
 
 
 Record = Callable[[DatasetWriter], Iterator[int]]
@@ -121,7 +117,6 @@ def record_steps(
     steps: int,
     columns: Iterable[StepColumn],
     about: EpisodeAbout,
-    states: NDArray[np.float64] | None = None,
 ) -> Iterator[int]:
     """Record an episode, and yield the number of each written row.
 
@@ -130,7 +125,6 @@ def record_steps(
         steps: Number of steps.
         columns: A column for each feature of the dataset.
         about: What else is known of the episode.
-        states: The simulation's states, shape (steps + 1, size); None without a simulation.
 
     Raises:
         CorruptEpisode: A column has fewer values than there are steps.
@@ -145,11 +139,11 @@ def record_steps(
         for i in range(steps + 1):
             row = {column.feature.key: _value(column, values, i, steps, row) for column, values in given}
             for key, flags in flagged.items():
-                if i and _is_repeated(row[key], row[flags]):
+                if i and _is_repeated(row[flags]):
                     row[key] = None
-            episode.add(row, None if states is None else states[i])
+            episode.add(row)
             yield i
-        repeated = [c.feature.key for c, _ in given if c.last is None and not c.is_whole and not is_done(c.feature)]
+        repeated = [c.feature.key for c, _ in given if c.last is None and not is_done(c.feature)]
         ended = {"last_observation": "repeated", "repeated": repeated} if repeated else {"last_observation": "kept"}
         episode.finish(about.success, {**about.outcome, "imported": {**about.imported, **ended}})
         on_error.pop_all()
@@ -158,9 +152,9 @@ def record_steps(
 def _value(column: StepColumn, values: Iterator[Any], row: int, steps: int, before: Mapping[str, Value]) -> Value:
     feature = column.feature
     value: Any
-    if row == 0 and not column.is_whole and is_done(feature):
+    if row == 0 and is_done(feature):
         return None if feature.is_unknown_at_reset else np.zeros(feature.shape, feature.numpy_dtype)[()]
-    if column.is_whole or is_done(feature) or row < steps:
+    if is_done(feature) or row < steps:
         value = next(values, _ENDED)
         if value is _ENDED:
             raise CorruptEpisode(f"There are fewer values of {feature.key!r} than rows.")
@@ -177,10 +171,9 @@ def _value(column: StepColumn, values: Iterator[Any], row: int, steps: int, befo
     return None if unknown else value
 
 
-def _is_repeated(image: Value, flags: Value) -> bool:
-    """Return whether an image is that of the row before. A packet counts as new: the next one may need it."""
-    is_flagged = flags is not None and bool(int(np.asarray(flags)) & FrameFlag.REPEATED)
-    return is_flagged and not (isinstance(image, bytes) and is_packet(image))
+def _is_repeated(flags: Value) -> bool:
+    """Return whether an image is that of the row before."""
+    return flags is not None and bool(int(np.asarray(flags)) & FrameFlag.REPEATED)
 
 
 _ENDED = object()

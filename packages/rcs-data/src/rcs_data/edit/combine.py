@@ -12,10 +12,10 @@ import numpy as np
 from rcs_data.edit.episodes import require_ids
 from rcs_data.edit.transaction import making
 from rcs_data.errors import DatasetError, InvalidSetup
-from rcs_data.info import MERGED, DatasetInfo, differences, feature_differences, shared_setup
-from rcs_data.layout import check_name, name_of
-from rcs_data.output import OnProgress, refuse_existing
-from rcs_data.reader import Dataset, EpisodeRecord
+from rcs_data.files.info import MERGED, DatasetInfo, differences, feature_differences, shared_setup
+from rcs_data.files.layout import check_name, name_of
+from rcs_data.files.output import OnProgress, refuse_existing
+from rcs_data.read.reader import Dataset, EpisodeRecord
 
 # Fields that may differ between merged datasets.
 _OWN = ("setup", "instruction", "jpeg_quality", "jpeg_subsampling", "origin")
@@ -36,7 +36,7 @@ def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProg
     """
     if not sources:
         raise InvalidSetup("There are no datasets to merge; give at least one.")
-    datasets = [Dataset.open(path) for path in sources]
+    datasets = [Dataset(path) for path in sources]
     names = source_names(datasets)
     for name, dataset in list(zip(names, datasets, strict=True))[1:]:
         _require_fit(names[0], datasets[0], name, dataset)
@@ -44,8 +44,8 @@ def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProg
     parts = [(name, dataset, dataset.episodes) for name, dataset in zip(names, datasets, strict=True)]
     with making(out, info) as made:
         for _, episode, about in gathered(parts, on_progress):
-            made.keep(episode, **about)
-    return Dataset.open(out)
+            made.copy(episode, **about)
+    return Dataset(out)
 
 
 def gathered(
@@ -94,7 +94,7 @@ def split(
         DatasetError: A part's folder is not empty.
         CorruptEpisode: The dataset is damaged.
     """
-    dataset = Dataset.open(path)
+    dataset = Dataset(path)
     if parts is not None and episodes is not None:
         raise InvalidSetup("Give the parts' shares or their episodes, not both.")
     if parts is None and episodes is None:
@@ -102,7 +102,7 @@ def split(
     else:
         named = _drawn(dataset, parts, seed) if parts is not None else dict(episodes or {})
         for ids in named.values():
-            require_ids(dataset, ids)
+            require_ids(path, [episode.id for episode in dataset], ids)
         chosen: dict[str, _Kept] = {
             n: (dataset.info, [(dataset[i], {}) for i in sorted(ids)]) for n, ids in named.items()
         }
@@ -114,8 +114,8 @@ def split(
     for name, (info, kept) in chosen.items():
         with making(Path(out) / name, info) as part:
             for episode, about in kept:
-                part.keep(episode, **about)
-        made[name] = Dataset.open(Path(out) / name)
+                part.copy(episode, **about)
+        made[name] = Dataset(Path(out) / name)
     return made
 
 

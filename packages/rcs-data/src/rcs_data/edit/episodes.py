@@ -10,8 +10,7 @@ from rcs_data.edit.arguments import whole_number
 from rcs_data.edit.rows import take_rows
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
-from rcs_data.reader import Dataset
-from rcs_data.text import check_text
+from rcs_data.files.text import check_text
 
 
 def delete(path: str | Path, episodes: Iterable[str]) -> None:
@@ -23,7 +22,7 @@ def delete(path: str | Path, episodes: Iterable[str]) -> None:
     """
     ids = sorted(set(episodes))
     with editing(path, "delete", {"episodes": ids}) as edit:
-        require_ids(edit.dataset, ids)
+        require_ids(path, edit.entries, ids)
         edit.drop(ids)
 
 
@@ -36,9 +35,8 @@ def keep(path: str | Path, episodes: Iterable[str]) -> None:
     """
     ids = sorted(set(episodes))
     with editing(path, "keep", {"episodes": ids}) as edit:
-        require_ids(edit.dataset, ids)
-        kept = set(ids)
-        edit.drop(record.id for record in edit.dataset if record.id not in kept)
+        require_ids(path, edit.entries, ids)
+        edit.drop(edit.entries.keys() - set(ids))
 
 
 def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> None:
@@ -57,7 +55,7 @@ def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> N
     """
     first, last = whole_number(first, "first"), whole_number(last, "last")
     with editing(path, "trim", {"episode": episode, "first": first, "last": last}) as edit:
-        require_ids(edit.dataset, [episode])
+        require_ids(path, edit.entries, [episode])
         record = edit.dataset[episode]
         end = record.length + last if last < 0 else last
         if not 0 <= first <= end < record.length:
@@ -65,7 +63,7 @@ def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> N
                 f"Expected rows of episode {episode!r} between 0 and {record.length - 1}, the first not after the "
                 f"last; got {first} to {last}."
             )
-        edit.write(record, record.inlined(take_rows(record.numbers(), record.info, range(first, end + 1))))
+        edit.write(record, record.inlined(take_rows(record.steps(), record.info, range(first, end + 1))))
 
 
 def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | None = None) -> None:
@@ -81,17 +79,24 @@ def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | Non
     is_all = ids is None
     new_info = (lambda info: replace(info, instruction=instruction)) if is_all else (lambda info: info)
     with editing(path, "relabel", arguments, new_info=new_info) as edit:
-        require_ids(edit.dataset, ids or [])
+        require_ids(path, edit.entries, ids or [])
         edit.relabel(ids, instruction)
 
 
-def require_ids(dataset: Dataset, ids: Iterable[str]) -> None:
+def require_ids(path: str | Path, known: Iterable[str], ids: Iterable[str]) -> None:
     """Refuse unknown ids.
+
+    Args:
+        path: The dataset, for the message.
+        known: The ids of its episodes.
+        ids: Those that are asked for.
 
     Raises:
         InvalidSetup: There is no such episode; the message lists some that exist.
     """
-    if missing := sorted(name for name in set(ids) if name not in dataset):
-        known = [episode.id for episode in dataset.episodes[:6]]
-        some = ", ".join(known[:5]) + (" …" if len(known) > 5 else "")
-        raise InvalidSetup(f"There is no episode {', '.join(missing)} in {dataset.path}; it has {some or 'none'}.")
+    if missing := sorted(set(ids).difference(known)):
+        first = sorted(known)[:6]
+        some = ", ".join(first[:5]) + (" …" if len(first) > 5 else "")
+        raise InvalidSetup(
+            f"There is no episode {', '.join(missing)} in {Path(path).absolute()}; it has {some or 'none'}."
+        )

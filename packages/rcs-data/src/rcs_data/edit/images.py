@@ -13,15 +13,14 @@ import pyarrow as pa
 from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
-from rcs_data.codec import decode_frame, encode_frame
-from rcs_data.content import flat_numbers
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup, require_fields
-from rcs_data.feature import Feature
-from rcs_data.flags import camera_of
-from rcs_data.info import DatasetInfo
-from rcs_data.output import OnProgress
-from rcs_data.video_codec import ONE_THREAD
+from rcs_data.files.codec import ONE_THREAD, decode_frame, encode_frame
+from rcs_data.files.feature import Feature
+from rcs_data.files.flags import camera_of
+from rcs_data.files.info import DatasetInfo
+from rcs_data.files.output import OnProgress
+from rcs_data.read.content import flat_numbers
 
 _SINGLE = ("time/frames/", "flags/frames/")
 
@@ -49,7 +48,7 @@ def rename_camera(path: str | Path, name: str, to: str, *, on_progress: OnProgre
     with editing(path, "rename-camera", arguments, new_info=lambda info: renamed(info, {name: to})) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            edit.write(episode, (with_names(rows, edit.info) for rows in episode.rows(packets=True)))
+            edit.write(episode, (with_names(rows, edit.info) for rows in episode.rows()))
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 
@@ -78,7 +77,7 @@ def with_names(rows: pa.Table, info: DatasetInfo) -> pa.Table:
 def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress | None = None) -> None:
     """Scale all camera frames to another size; intrinsics are scaled with them.
 
-    Colour is averaged over the area of a pixel, depth takes the nearest reading. JPEGs and videos are encoded again,
+    Colour is averaged over the area of a pixel, depth takes the nearest reading. JPEGs are encoded again,
     with the dataset's quality.
 
     Args:

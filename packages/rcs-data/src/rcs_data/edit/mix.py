@@ -18,9 +18,9 @@ from rcs_data.edit.images import cameras_of, renamed, resized, with_names, with_
 from rcs_data.edit.rate import at_rate, resampled
 from rcs_data.edit.transaction import making
 from rcs_data.errors import DatasetError, InvalidSetup
-from rcs_data.info import MERGED, DatasetInfo, feature_differences, shared_setup
-from rcs_data.output import OnProgress
-from rcs_data.reader import Dataset, EpisodeRecord
+from rcs_data.files.info import MERGED, DatasetInfo, feature_differences, shared_setup
+from rcs_data.files.output import OnProgress
+from rcs_data.read.reader import Dataset, EpisodeRecord
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +89,7 @@ def mix(
     seed = whole_number(seed, "The seed")
     require_seed(seed)
     how = mapping or Harmonise()
-    datasets = [Dataset.open(part.path) for part in parts]
+    datasets = [Dataset(part.path) for part in parts]
     names = source_names(datasets)
     if unknown := sorted(set(how.rename) - set(names)):
         raise InvalidSetup(f"Cameras of {', '.join(unknown)} cannot be renamed; the datasets are {', '.join(names)}.")
@@ -108,10 +108,10 @@ def mix(
     with making(out, replace(infos[0], setup=setup, origin=origin)) as made:
         for name, episode, about in gathered([*zip(names, datasets, chosen, strict=True)], on_progress):
             if _rows_stay(episode.info, after[name]):
-                made.keep(episode, **about)
+                made.copy(episode, **about)
             else:
-                made.write(episode, _mapped(episode, after[name], how.rename.get(name, {})), **about)
-    return Dataset.open(out)
+                made.copy(episode, _mapped(episode, after[name], how.rename.get(name, {})), **about)
+    return Dataset(out)
 
 
 def parse_part(text: str) -> Part:
@@ -201,7 +201,7 @@ def _rows_stay(before: DatasetInfo, after: DatasetInfo) -> bool:
 
 def _mapped(episode: EpisodeRecord, after: DatasetInfo, rename: Mapping[str, str]) -> Iterator[pa.Table]:
     info = episode.info
-    rows = episode.numbers()
+    rows = episode.steps()
     if rename:
         info = renamed(info, rename)
         rows = with_names(rows, info)

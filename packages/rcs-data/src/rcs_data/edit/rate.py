@@ -13,16 +13,16 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs_data.content import flat_numbers
 from rcs_data.edit.arguments import number
+from rcs_data.edit.rotations import IDENTITY, Quaternion, from_rotvec, from_rpy, multiply, normalized, to_rotvec, to_rpy
 from rcs_data.edit.rows import take_rows
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
-from rcs_data.feature import Feature
-from rcs_data.flags import FrameFlag, camera_of
-from rcs_data.info import DatasetInfo
-from rcs_data.output import OnProgress
-from rcs_data.rotations import IDENTITY, Quaternion, from_rotvec, from_rpy, multiply, normalized, to_rotvec, to_rpy
+from rcs_data.files.feature import Feature
+from rcs_data.files.flags import FrameFlag, camera_of
+from rcs_data.files.info import DatasetInfo
+from rcs_data.files.output import OnProgress
+from rcs_data.read.content import flat_numbers
 
 
 def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | None = None) -> None:
@@ -46,7 +46,7 @@ def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | No
     with editing(path, "resample", {"frequency": frequency}, new_info=lambda info: at_rate(info, frequency)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            edit.write(episode, episode.inlined(resampled(episode.numbers(), episode.info, frequency)))
+            edit.write(episode, episode.inlined(resampled(episode.steps(), episode.info, frequency)))
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 

@@ -1,4 +1,4 @@
-"""What the page knows of a dataset before an episode is opened: its facts, and a line for each episode."""
+"""The catalogue of a page: facts of the dataset, and a line for each episode."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from collections.abc import Iterable, Mapping
 from datetime import datetime, timezone
 from typing import IO, Any
 
-from rcs_data.diversity import diversity_of_ways, ways_of
 from rcs_data.errors import CorruptEpisode
-from rcs_data.feature import Feature
-from rcs_data.reader import Dataset, EpisodeRecord
-from rcs_data.verdicts import Verdicts
+from rcs_data.files.feature import Feature
+from rcs_data.read.reader import Dataset, EpisodeRecord
+from rcs_data.read.verdicts import Verdicts
 from rcs_data.view.clips import pictures
 from rcs_data.view.episode_data import FLAWS, curves, is_faster_than_life
 from rcs_data.view.html import json_text
@@ -20,28 +19,22 @@ from rcs_data.view.rendering import Rendered, clip_name
 
 
 def write_catalogue(
-    file: IO[str],
-    dataset: Dataset,
-    episodes: Iterable[Rendered],
-    *,
-    wall_time: float | None = None,
-    scripted: float | None = None,
+    file: IO[str], dataset: Dataset, episodes: Iterable[Rendered], *, wall_time: float | None = None
 ) -> None:
-    """Write the call that tells the page all of a dataset but its episodes' data, a line for each episode.
+    """Write the script that gives a page all of a dataset but the episodes' data, a line for each episode.
 
     Args:
         file: Where to.
         dataset: The dataset.
         episodes: The episodes of the page; they are taken one by one, and none is kept in memory.
         wall_time: How long the collection took [s]; None if it is not known.
-        scripted: By how much the ways of the task's scripted expert differ [rad]; None if it is not known.
     """
     summary = _Summary(dataset)
     file.write('rcsDataset({"episodes":[')
     for number, episode in enumerate(episodes):
         file.write(",\n" if number else "\n")
         file.write(json_text(summary.line(episode)))
-    facts = json_text({**_facts(dataset), **summary.told(wall_time), "diversity": summary.diversity(scripted)})
+    facts = json_text({**_facts(dataset), **summary.figures(wall_time)})
     file.write(f"\n],{facts.removeprefix('{')});\n")
 
 
@@ -78,21 +71,20 @@ class _Summary:
 
     def __init__(self, dataset: Dataset) -> None:
         self._dataset = dataset
-        self._whole: list[EpisodeRecord] = []
         self._verdicts: Counter[bool | None] = Counter()
         self._failures: Counter[str] = Counter()
-        self._rows = self._recovered = self._measured = self._gaps = self._missed = 0
+        self._whole = self._rows = self._recovered = self._measured = self._gaps = self._missed = 0
         self._mean = self._wanted = self._jitter = self._longest = 0.0
 
     def line(self, episode: Rendered) -> dict[str, Any]:
         """Return what the page says of an episode in its list; what is as usual is left out."""
-        record, why = episode.record, episode.why
+        record = episode.record
         try:
             outcome = {name: value for name, value in record.outcome.items() if value is not None}
             facts = {"started": record.about.get("started"), **outcome, "content": record.content_hash[:16]}
             self._count(record)
         except CorruptEpisode:
-            return {"id": record.id, "why": why, "damaged": True, "rows": 0, "success": None}
+            return {"id": record.id, "why": episode.why, "damaged": True, "rows": 0, "success": None}
         note = str(outcome.get("failure") or outcome.get("aborted") or "")
         line = {
             "id": record.id,
@@ -102,11 +94,16 @@ class _Summary:
             "facts": [[name, v if isinstance(v, str) else json.dumps(_short(v))] for name, v in facts.items()],
         }
         is_usual = record.instruction == self._dataset.info.instruction
-        told = {"instruction": "" if is_usual else record.instruction, "note": note, "flaws": episode.flaws, "why": why}
-        return {**line, **{name: value for name, value in told.items() if value}, "damaged": episode.is_damaged}
+        unusual = {
+            "instruction": "" if is_usual else record.instruction,
+            "note": note,
+            "flaws": episode.flaws,
+            "why": episode.why,
+        }
+        return {**line, **{name: value for name, value in unusual.items() if value}, "damaged": episode.is_damaged}
 
     def _count(self, record: EpisodeRecord) -> None:
-        self._whole.append(record)
+        self._whole += 1
         self._verdicts[record.success] += 1
         self._rows += record.length
         self._recovered += bool(record.outcome.get("recovered"))
@@ -121,7 +118,7 @@ class _Summary:
             self._jitter = max(self._jitter, period["jitter_p99"])
             self._longest = max(self._longest, period["max"])
 
-    def told(self, wall_time: float | None) -> dict[str, Any]:
+    def figures(self, wall_time: float | None) -> dict[str, Any]:
         """Return the counts, the failures by class, and how the recording went."""
         verdicts = Verdicts(succeeded=self._verdicts[True], failed=self._verdicts[False], not_judged=0)
         recording: list[list[str]] = []
@@ -137,7 +134,7 @@ class _Summary:
                 recording.append(["gaps", f"{self._gaps}, {self._missed} steps missed"])
             recording.append(["longest step", f"{1e3 * self._longest:.2f} ms"])
         if wall_time:
-            recording.append(["episodes per hour", f"{3600 * len(self._whole) / wall_time:.0f}"])
+            recording.append(["episodes per hour", f"{3600 * self._whole / wall_time:.0f}"])
             recording.append(["steps per second", f"{self._rows / wall_time:.0f}"])
         recording.append(["recovered after a crash", str(self._recovered)])
         low, high = verdicts.interval
@@ -145,16 +142,9 @@ class _Summary:
         failures = [[name, f"{n}, {100 * n / verdicts.judged:.1f} %"] for name, n in self._failures.most_common()]
         return {"counts": {**counts, "rows": self._rows}, "failures": failures, "recording": recording}
 
-    def diversity(self, scripted: float | None) -> dict[str, Any] | None:
-        """Return by how much ways differ [rad], of these episodes and of the scripted expert; None if unknown."""
-        ways = ways_of(self._dataset.info, self._whole)
-        if len(ways) < 2:
-            return None
-        return {"ways": _short(diversity_of_ways(ways)), "scripted": _short(scripted), "episodes": len(ways)}
-
 
 def _short(value: Any) -> Any:
-    """Return JSON values with no more digits than anybody reads."""
+    """Return JSON values with six digits at most."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, Mapping):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from rcs_data.view.html import Html, element, figure
 
 CHARTS_SCRIPT = "charts.js"
-"""The file in `WEB` that tells the numbers under the pointer."""
+"""The file in `WEB` that shows the numbers under the pointer."""
 
 _HEIGHT = 190
 _LEFT, _RIGHT, _TOP, _BOTTOM = 54, 18, 8, 22
@@ -31,11 +31,9 @@ class Series:
     high: Sequence[float] = ()
     """Upper ends of intervals."""
     told: Sequence[str] = ()
-    """What is said of each point; its number when not given."""
+    """A text for each point; its number when not given."""
     colour: int = 0
-    """Of the style's lines, from 0."""
-    is_dotted: bool = False
-    """Whether points are shown in the place of a line."""
+    """The number of a colour of the style, from 0."""
 
 
 def chart(
@@ -83,9 +81,9 @@ def chart(
         if one.low:
             band = points(one.x, one.high) + points(one.x, one.low)[::-1]
             parts.append(element("polygon", class_="band", style=f"fill:{paint}", points=" ".join(band)))
-        if one.is_dotted or len(one.x) == 1:
-            dots = [place(*point) for point in zip(one.x, one.y, strict=True)]
-            parts += [element("circle", cx=x, cy=y, r=3, style=f"fill:{paint}") for x, y in dots]
+        if len(one.x) == 1:
+            x, y = place(one.x[0], one.y[0])
+            parts.append(element("circle", cx=x, cy=y, r=3, style=f"fill:{paint}"))
         else:
             line = " ".join(points(one.x, one.y))
             parts.append(element("polyline", class_="line", style=f"stroke:{paint}", points=line))
@@ -116,12 +114,12 @@ def ticks(low: float, high: float, wanted: int = 4) -> list[float]:
 
 def labels(values: Sequence[float]) -> list[str]:
     """Return numbers as `short` does, with as many digits as tell each from the next."""
-    told: list[str] = []
+    found: list[str] = []
     for digits in range(3, 18):
-        told = [short(value, digits) for value in values]
-        if len(set(told)) == len(told):
+        found = [short(value, digits) for value in values]
+        if len(set(found)) == len(found):
             break
-    return told
+    return found
 
 
 def short(value: float, digits: int = 3) -> str:

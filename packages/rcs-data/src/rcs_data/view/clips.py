@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.codec import decode_small_jpeg
-from rcs_data.errors import CorruptEpisode, InvalidSetup
-from rcs_data.feature import Feature
-from rcs_data.info import DatasetInfo
-from rcs_data.reader import EpisodeRecord
-from rcs_data.view.colours import coloured
+from rcs_data.errors import CorruptEpisode
+from rcs_data.files.codec import decode_small_jpeg
+from rcs_data.files.feature import Feature
+from rcs_data.files.info import DatasetInfo
+from rcs_data.options import Meta, Record, Whole
+from rcs_data.read.reader import EpisodeRecord
 
 Codec = Literal["h264", "vp9"]
 
@@ -31,33 +30,34 @@ _SMALLEST_MAP = 8
 _SAMPLES = 12
 # The colours of depth follow what the camera sees: they span the frames this long before and after [s].
 _WINDOW = 0.25
+# From dark blue over teal and green to a light yellow: lightness rises all the way.
+_ANCHORS = np.array(
+    [(18, 20, 66), (26, 70, 128), (20, 121, 138), (40, 164, 112), (142, 202, 74), (250, 240, 130)], np.float64
+)
+_PLACES = np.linspace(0, 255, len(_ANCHORS))
+_TABLE = np.stack([np.interp(np.arange(256), _PLACES, channel) for channel in _ANCHORS.T], axis=1).astype(np.uint8)
+# What was not measured is darker than any value.
+_NOTHING = np.zeros(3, np.uint8)
 _Limits = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ClipOptions:
+class ClipOptions(Record):
     """How clips are made.
 
     Raises:
         InvalidSetup: A field does not make sense.
     """
 
-    height: int = 320
+    height: Annotated[int, Meta(ge=16)] = 320
     """The largest height [px]; smaller images stay as they are."""
     codec: Codec = "h264"
     """"h264" plays nearly everywhere; "vp9" in browsers that were built without it, and takes longer to make."""
 
     quality: int = 26
     """The codec's constant rate factor: lower is better and larger."""
-    whole_frame_every: int = 10
+    whole_frame_every: Whole = 10
     """A browser that seeks decodes so many frames at most. With 10, clips of 224 x 224 are 1.6 times as large as with
     the encoder's own choice of 250, and a third of those in which every frame is whole."""
-
-    def __post_init__(self) -> None:
-        if self.height < 16:
-            raise InvalidSetup(f"height is {self.height} pixels; it must be at least 16.")
-        if self.codec not in get_args(Codec):
-            raise InvalidSetup(f"codec is {self.codec!r}; valid are {', '.join(get_args(Codec))}.")
 
 
 def pictures(info: DatasetInfo) -> list[Feature]:
@@ -79,7 +79,7 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
     import av  # half a tenth of a second to import, for those who look only
     from av.video.reformatter import VideoReformatter
 
-    from rcs_data.video_codec import ONE_THREAD
+    from rcs_data.files.codec import ONE_THREAD
 
     is_colour = feature.shape[-1:] == (3,) and len(feature.shape) == 3
     limits = None if is_colour or feature.encoding == "labels" else _limits(episode, feature)
@@ -188,3 +188,15 @@ def _smooth(spans: _Limits, reach: int) -> _Limits:
     sums = [np.convolve(column, kernel)[reach : reach + len(column)] for column in np.nan_to_num(spans).T]
     counts = [np.convolve(column, kernel)[reach : reach + len(column)] for column in known.T]
     return np.stack(sums, 1) / np.maximum(np.stack(counts, 1), 1)
+
+
+def coloured(values: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.uint8]:
+    """Return the colours of numbers (H, W), shape (H, W, 3); black where there is none: NaN and, in integers, 0.
+
+    The limits are the values of the darkest and the lightest colour.
+    """
+    low, high = limits
+    is_known = np.isfinite(values) if values.dtype.kind == "f" else values != 0
+    places = (np.nan_to_num(values.astype(np.float32), posinf=0.0, neginf=0.0) - low) * (255 / (high - low))
+    colours = _TABLE[np.clip(places, 0, 255).astype(np.uint8)]
+    return np.where(is_known[..., None], colours, _NOTHING)

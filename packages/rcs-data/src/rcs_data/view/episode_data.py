@@ -1,4 +1,4 @@
-"""What the page shows of an episode beside its clips: curves, and marks where the recording has a flaw."""
+"""Data of an episode on the page beside its clips: curves, and marks where the recording has a flaw."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs_data.feature import Feature
-from rcs_data.flags import FrameFlag, camera_of, flags_key, time_key
-from rcs_data.info import DatasetInfo
-from rcs_data.reader import EpisodeRecord
+from rcs_data.files.feature import Feature
+from rcs_data.files.flags import FrameFlag, camera_of, flags_key, time_key
+from rcs_data.files.info import DatasetInfo
+from rcs_data.read.reader import EpisodeRecord
 
 FLAWS = ("repeated", "stale", "missing", "dropped", "gap", "jitter", "backwards")
-"""What a mark can say: of a camera's frames the first four, of the loop's periods the others."""
+"""Kinds of marks: the first four are about a camera's frames, the others about the loop's periods."""
 
 LOOP = "loop"
-"""Where the marks of the periods are; the others are at a camera."""
+"""Place of the marks of periods; the others are at a camera."""
 
 # As the quality report of an episode has it: at least one step is missing.
 _GAP = 1.5
@@ -54,11 +54,11 @@ class Curves:
     """In words."""
     size: int
     is_shown: bool
-    """Whether the page shows it without being asked."""
+    """Whether the page shows it at first."""
 
     @property
     def names(self) -> list[str]:
-        """What each line is: "joint 1" and so on, the axes of a pose, or numbers from 1."""
+        """Names of the lines: "joint 1" and so on, the axes of a pose, or numbers from 1."""
         last = self.key.split("/")[-1]
         names = _POSE_NAMES.get(last, "").split()
         if len(names) == self.size:
@@ -157,8 +157,6 @@ def _numbers(column: pa.ChunkedArray, feature: Feature) -> NDArray[np.float64]:
     flat = array.drop_null().flatten() if pa.types.is_fixed_size_list(array.type) else array.drop_null()
     numbers = np.full((len(array), feature.size), np.nan)
     numbers[is_known] = flat.to_numpy(zero_copy_only=False).reshape(-1, feature.size)
-    if feature.can_be_held and len(numbers):
-        numbers = numbers[np.maximum.accumulate(np.where(is_known, np.arange(len(numbers)), 0))]
     return numbers
 
 

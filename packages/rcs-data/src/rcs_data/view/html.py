@@ -12,11 +12,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from rcs_data.codec import encode_jpeg
-
 WEB = Path(__file__).with_name("web")
 """The style and the scripts that pages share."""
 
@@ -68,22 +63,11 @@ def figure(content: object, *caption: object, is_below: bool = True, **attribute
     return element("figure", *((content, words) if is_below else (words, content)), **attributes)
 
 
-def picture_tag(rgb: NDArray[np.uint8], *, height: int = 96, title: str = "") -> Html:
-    """Return a picture as an `img` tag that has it inside.
-
-    Args:
-        rgb: Shape (H, W, 3).
-        height: The height on the page [px]; a larger picture is made smaller.
-        title: What it is of.
-    """
-    stride = max(1, rgb.shape[0] // (2 * height))  # twice as fine, for dense displays
-    data = encode_jpeg(np.ascontiguousarray(rgb[::stride, ::stride]), 90, "420" if stride > 1 else "444")
-    return element("img", src=_inside("image/jpeg", data), height=height, alt=title, title=title)
-
-
 def film(source: str | bytes) -> Html:
     """Return a video, silent and repeated: the name of a file beside the page, or the bytes of an MP4 file."""
-    address = _inside("video/mp4", source) if isinstance(source, bytes) else source
+    address = (
+        f"data:video/mp4;base64,{base64.b64encode(source).decode('ascii')}" if isinstance(source, bytes) else source
+    )
     return element("video", controls=True, muted=True, loop=True, playsinline=True, preload="metadata", src=address)
 
 
@@ -130,28 +114,3 @@ def json_text(values: Any) -> str:
 def web(name: str) -> str:
     """Return one of the files that pages share."""
     return (WEB / name).read_text("utf-8")
-
-
-def pictures_page(title: str, groups: Mapping[str, Sequence[tuple[str, str]]]) -> str:
-    """Return a page of pictures that lie beside it, with links to its parts.
-
-    Args:
-        title: The page's.
-        groups: For each heading the captions and the file names of its pictures.
-    """
-    parts: list[Html] = []
-    contents: list[Html] = []
-    for number, (heading, pictures) in enumerate(groups.items()):
-        contents.append(element("a", heading, href=f"#part-{number}"))
-        parts.append(element("h2", heading, id=f"part-{number}"))
-        parts += [figure(element("img", src=name, alt=caption), caption) for caption, name in pictures]
-    return page(
-        title,
-        header(title),
-        element("div", *contents, class_="contents"),
-        element("main", *parts, class_="gallery"),
-    )
-
-
-def _inside(kind: str, data: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"

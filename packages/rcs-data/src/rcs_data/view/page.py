@@ -1,24 +1,36 @@
-"""The page: a folder with an `index.html` that opens from the disk, without a server and without a network."""
+"""The page: a folder with an `index.html`, or one file that can be passed on; both open without server and network."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import base64
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from rcs_data.durable import disk_errors
-from rcs_data.errors import DatasetError, InvalidSetup
-from rcs_data.output import OnProgress, size_on_disk
-from rcs_data.reader import Dataset, EpisodeRecord
+from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
+from rcs_data.files.durable import disk_errors, remove_tree
+from rcs_data.files.output import OnProgress, size_on_disk
+from rcs_data.read.reader import Dataset, EpisodeRecord
 from rcs_data.view.catalogue import write_catalogue
-from rcs_data.view.clips import ClipOptions
+from rcs_data.view.clips import ClipOptions, pictures
 from rcs_data.view.html import Html, element, page, script, style, web
-from rcs_data.view.rendering import CLIPS, EPISODES, Rendered, Renderer, put, sweep
+from rcs_data.view.rendering import CLIPS, EPISODES, Rendered, Renderer, clip_name, episode_file, script_values
 
 VIEW_FOLDER = "view"
 """The page's folder in that of the dataset, where no other is given."""
 
+REPORT_FILE = "report.html"
+
+# Smaller than those of the page in a folder: about 60 kB for a camera and four seconds.
+_CLIPS = ClipOptions(height=224, quality=30, whole_frame_every=30)
+# So many of the first episodes, and of all episodes that failed, are in the page with clips and curves.
+_FIRST_IN_DETAIL = 20
+_MOST_IN_DETAIL = 120
+_LEFT_OUT = "was left out, but for its outcome, to keep this file small; `rcs-data view` shows all episodes."
+_EPISODES_HERE = Html("<!-- episodes -->")
 _CATALOGUE = "dataset.js"
 _STYLE = "viewer.css"
 _SCRIPTS = ("plots.js", "player.js", "catalogue.js", "viewer.js")
@@ -26,14 +38,12 @@ _SCRIPTS = ("plots.js", "player.js", "catalogue.js", "viewer.js")
 
 @dataclass(frozen=True, kw_only=True)
 class ViewReport:
-    """What `write_view` did."""
+    """The result of `write_view`."""
 
     path: Path
     """The page to open."""
     rendered: int
-    """Episodes that were rendered now."""
-    kept: int
-    """Episodes that were there already."""
+    """Episodes that it shows."""
     damaged: int
     """Episodes that do not read; the page says so."""
     size: int
@@ -48,7 +58,9 @@ def write_view(
     options: ClipOptions | None = None,
     on_progress: OnProgress | None = None,
 ) -> ViewReport:
-    """Write a page to look at a dataset with; of an earlier page in the same place, what still holds is kept.
+    """Write a page to look at a dataset with, in place of an earlier one.
+
+    Episodes that did not change since that one are not rendered again.
 
     Args:
         dataset: The dataset, or its folder.
@@ -65,13 +77,12 @@ def write_view(
     dataset = dataset if isinstance(dataset, Dataset) else Dataset.open(dataset)
     folder = dataset.path / VIEW_FOLDER if out is None else Path(out)
     chosen = chosen_episodes(dataset, episodes)
-    counts = {"rendered": 0, "kept": 0, "damaged": 0}
+    counts = {"rendered": 0, "damaged": 0}
 
     def counted() -> Iterator[Rendered]:
         renderer = Renderer(dataset=dataset, folder=folder, options=options or ClipOptions())
         for number, result in enumerate(renderer.render(chosen)):
-            counts["rendered"] += result.is_new
-            counts["kept"] += not (result.is_new or result.why)
+            counts["rendered"] += not result.why
             counts["damaged"] += result.is_damaged
             if on_progress is not None:
                 on_progress(number + 1, len(chosen))
@@ -79,14 +90,18 @@ def write_view(
 
     with disk_errors("write the page", folder):
         _require_own(folder)
-        for name in (EPISODES, CLIPS):
-            (folder / name).mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         # Until all episodes are there, so that a page that was not completed is known as one.
-        put(folder / _CATALOGUE, b"rcsDataset(null);\n")
-        put(folder / "index.html", shell(is_alone=False).encode())
+        _put(folder / _CATALOGUE, "rcsDataset(null);\n")
+        shown = {record.id for record in chosen}
+        for name, ending in ((EPISODES, ".js"), (CLIPS, "")):
+            (folder / name).mkdir(exist_ok=True)
+            for path in (folder / name).iterdir():
+                if path.name.removesuffix(ending) not in shown:
+                    remove_tree(path)
+        _put(folder / "index.html", shell(is_alone=False))
         for name in (_STYLE, *_SCRIPTS):
-            put(folder / name, web(name).encode())
-        sweep(folder, chosen)
+            _put(folder / name, web(name))
         partial = folder / f".{_CATALOGUE}.tmp"
         partial.unlink(missing_ok=True)  # never through a link
         with partial.open("x", encoding="ascii") as file:
@@ -120,6 +135,12 @@ def chosen_episodes(dataset: Dataset, patterns: Sequence[str] | None) -> tuple[E
     return tuple(episode for episode in dataset.episodes if episode.id in meant)
 
 
+def _put(path: Path, text: str) -> None:
+    """Write a file in place of any that is there, and never through a link."""
+    path.unlink(missing_ok=True)
+    path.write_text(text, "utf-8")
+
+
 def _require_own(folder: Path) -> None:
     for path in (folder, folder / EPISODES, folder / CLIPS):
         if path.is_symlink() or (path.exists() and not path.is_dir()):
@@ -128,3 +149,67 @@ def _require_own(folder: Path) -> None:
             )
     if folder.exists() and any(folder.iterdir()) and not (folder / _CATALOGUE).exists():
         raise DatasetError(f"{folder} has other things in it; choose an empty folder, or one of an earlier page.")
+
+
+def write_report(dataset_path: str | Path, *, wall_time: float | None = None) -> Path:
+    """Write `report.html` into a dataset's folder and return its path; damaged episodes are listed as such.
+
+    Args:
+        dataset_path: The folder of the dataset.
+        wall_time: How long the collection took [s], for its speed; None leaves that out.
+
+    Raises:
+        DatasetError: There is no dataset, or the page cannot be written.
+        CorruptEpisode: `dataset.json` is damaged.
+    """
+    dataset = Dataset.open(dataset_path)
+    path = dataset.path / REPORT_FILE
+    partial = path.with_name(f".{REPORT_FILE}.tmp")
+    start, end = shell(is_alone=True, more=_EPISODES_HERE).split(_EPISODES_HERE)
+    with disk_errors("write the report", path), tempfile.TemporaryDirectory(prefix="rcs-report-") as name:
+        folder = Path(name)
+        for part in (EPISODES, CLIPS):
+            (folder / part).mkdir()
+        renderer = Renderer(dataset=dataset, folder=folder, options=_CLIPS)
+        results = {result.record.id: result for result in renderer.render(_in_detail(dataset))}
+        partial.unlink(missing_ok=True)  # never through a link
+        with partial.open("x", encoding="utf-8") as file:
+            file.write(start)
+            for result in results.values():
+                if not result.why:
+                    _write_episode(file.write, folder, result.record)
+            file.write("<script>")
+            write_catalogue(file, dataset, _all(dataset, results), wall_time=wall_time)
+            file.write(f"</script>\n{end}")
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    return path
+
+
+def _all(dataset: Dataset, results: dict[str, Rendered]) -> Iterator[Rendered]:
+    for record in dataset:
+        yield results.get(record.id) or Rendered(record=record, flaws={}, why=_LEFT_OUT)
+
+
+def _in_detail(dataset: Dataset) -> list[EpisodeRecord]:
+    first = dataset.episodes[:_FIRST_IN_DETAIL]
+    failed = [record for record in dataset.episodes[_FIRST_IN_DETAIL:] if _has_failed(record)]
+    return [*first, *failed][:_MOST_IN_DETAIL]
+
+
+def _has_failed(record: EpisodeRecord) -> bool:
+    try:
+        return record.success is False
+    except CorruptEpisode:
+        return False
+
+
+def _write_episode(write: Callable[[str], object], folder: Path, record: EpisodeRecord) -> None:
+    """Write an episode as data that the browser parses on use."""
+    body = Html(script_values(episode_file(folder, record)))
+    write(element("script", body, type="application/json", data_episode=record.id) + "\n")
+    for number, feature in enumerate(pictures(record.info)):
+        data = base64.b64encode((folder / CLIPS / record.id / clip_name(feature)).read_bytes()).decode("ascii")
+        address = f"data:video/mp4;base64,{data}"
+        write(element("script", address, type="text/plain", data_clip=f"{number} {record.id}") + "\n")

@@ -1,4 +1,8 @@
-"""Renders episodes for a page: the curves and marks of each in one file, and a clip per camera, made once."""
+"""Renders episodes for a page: the curves and marks of each in one file, and a clip per camera.
+
+The file has a hash of all that it and the clips follow from, and is written last; so what an earlier page has of an
+episode that did not change is kept.
+"""
 
 from __future__ import annotations
 
@@ -9,27 +13,21 @@ import re
 from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-from rcs_data.durable import remove_tree
 from rcs_data.errors import CorruptEpisode
-from rcs_data.feature import Feature
-from rcs_data.json_file import parsed_json
-from rcs_data.reader import Dataset, EpisodeRecord
+from rcs_data.files.durable import remove_tree
+from rcs_data.files.feature import Feature
+from rcs_data.read.reader import Dataset, EpisodeRecord
 from rcs_data.view.clips import ClipOptions, pictures, write_clip
-from rcs_data.view.episode_data import MOST_STEPS, curves, episode_data, is_faster_than_life
+from rcs_data.view.episode_data import MOST_STEPS, episode_data, is_faster_than_life
 from rcs_data.view.html import json_text
 
 EPISODES, CLIPS = "episodes", "clips"
 """Folders of a page: a script for each episode, and a folder for the clips of each."""
-
-# Part of the hash that decides whether an episode must be rendered anew: count up when what is rendered changes.
-_FORMAT = 3
-# The first line of an episode's file has a hash and some counts.
-_LONGEST_HEAD = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,18 +39,17 @@ class Rendered:
     """How many steps each kind of flaw has."""
     why: str = ""
     """Why the page does not show it, in words after its id; empty if it does."""
-    is_new: bool = False
     is_damaged: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Renderer:
-    """Writes what a page shows of episodes, unless it is there already."""
+    """Writes what a page shows of episodes."""
 
     dataset: Dataset
     """Whose episodes they are."""
     folder: Path
-    """The page's, with the folders for scripts and clips."""
+    """The page's, with folders for scripts and clips."""
     options: ClipOptions
     """Size and codec of the clips."""
 
@@ -72,54 +69,65 @@ class Renderer:
                 yield under_way.popleft().result()
 
     def _render(self, record: EpisodeRecord) -> Rendered:
-        script, clips = episode_file(self.folder, record), self.folder / CLIPS / record.id
+        clips, script = self.folder / CLIPS / record.id, episode_file(self.folder, record)
         try:
+            about = record.about
+            key = self._key(about)
+            if (flaws := self._kept(script, clips, key)) is not None:
+                return Rendered(record=record, flaws=flaws)
+            _remove(script, clips)
             if record.length > MOST_STEPS:
                 why = f"has {record.length} steps; a page shows up to {MOST_STEPS}."
                 return Rendered(record=record, flaws={}, why=why)
-            key = self._key(record)
-            flaws = _flaws_of(script, key)
-            if flaws is not None:
-                return Rendered(record=record, flaws=flaws)
-            script.unlink(missing_ok=True)  # it comes last, so that what a kill leaves is not taken for whole
-            remove_tree(clips)
-            values: dict[str, Any] = {"id": record.id, **episode_data(record), "limits": []}
+            values: dict[str, Any] = {"id": about["id"], "key": key, **episode_data(record), "limits": []}
             if self._pictures:
                 clips.mkdir()
             for feature in self._pictures:
                 values["limits"].append(write_clip(record, feature, clips / clip_name(feature), self.options))
-            head = json.dumps({"key": key, "flaws": values["flaws"]})
-            put(script, f"// {head}\nrcsEpisode({json_text(values)});\n".encode("ascii"))
-            return Rendered(record=record, flaws=values["flaws"], is_new=True)
+            script.write_text(f"rcsEpisode({json_text(values)});\n", "ascii")
+            return Rendered(record=record, flaws=values["flaws"])
         except CorruptEpisode as err:
-            script.unlink(missing_ok=True)
-            remove_tree(clips)
+            _remove(script, clips)
             # Where the dataset lies on this machine is nothing for a page that is passed on.
             why = str(err).replace(f"{self.dataset.path / EPISODES}/", "").replace(f"{self.dataset.path}/", "")
             return Rendered(record=record, flaws={}, why=f"is damaged: {why}", is_damaged=True)
+
+    def _key(self, about: dict[str, Any]) -> str:
+        """Return a hash of what an episode looks like: its files, how its numbers are meant, and how it is drawn."""
+        info = self.dataset.info
+        meaning = info.frequency, info.features, is_faster_than_life(info)
+        whole = about["id"], sorted(about["sha256"].items()), meaning, self.options, _program()
+        return hashlib.sha256(repr(whole).encode()).hexdigest()
+
+    def _kept(self, script: Path, clips: Path, key: str) -> dict[str, int] | None:
+        """Return the flaws of an episode whose files are there and have the key; None if they are to be made."""
+        try:
+            values = json.loads(script_values(script))
+        except (OSError, ValueError):  # not there, or cut short
+            return None
+        is_whole = all((clips / clip_name(feature)).is_file() for feature in self._pictures)
+        return values["flaws"] if is_whole and values.get("key") == key else None
 
     @cached_property
     def _pictures(self) -> list[Feature]:
         return pictures(self.dataset.info)
 
-    @cached_property
-    def _form(self) -> str:
-        """All that the files of every episode depend on."""
-        info = self.dataset.info
-        about: dict[str, Any] = {
-            "format": _FORMAT,
-            "fps": info.frequency,
-            "has_periods": not is_faster_than_life(info),
-            "features": [feature.to_json() for feature in info.features],
-            "curves": [curve.to_json() for curve in curves(info)],
-            "options": asdict(self.options),
-        }
-        return json.dumps(about, sort_keys=True)
 
-    def _key(self, record: EpisodeRecord) -> str:
-        """Return a hash of all that an episode's files depend on; the content hash is without times and flags."""
-        own = json.dumps([record.content_hash, record.length, record.timing], sort_keys=True)
-        return hashlib.sha256(f"{self._form}{own}".encode()).hexdigest()
+@cache
+def _program() -> str:
+    """Return a hash of the code that draws."""
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
+
+
+def _remove(*paths: Path) -> None:
+    for path in paths:
+        remove_tree(path)
+
+
+def script_values(script: Path) -> str:
+    """Return the values in the script of an episode, as JSON."""
+    return script.read_text("ascii").strip().removeprefix("rcsEpisode(").removesuffix(");")
 
 
 def episode_file(folder: Path, record: EpisodeRecord) -> Path:
@@ -132,34 +140,3 @@ def clip_name(feature: Feature) -> str:
     words = feature.key.removeprefix("observation/").removeprefix("frames/")
     digits = hashlib.sha256(feature.key.encode()).hexdigest()[:4]
     return f"{re.sub(r'[^A-Za-z0-9]+', '-', words)[:60]}-{digits}.mp4"
-
-
-def put(path: Path, data: bytes) -> None:
-    """Replace a file in one step; a page can be made again, so it need not outlive a power cut."""
-    temporary = path.with_name(f".{hashlib.sha256(path.name.encode()).hexdigest()[:16]}.tmp")
-    temporary.unlink(missing_ok=True)  # never through a link
-    temporary.write_bytes(data)
-    temporary.replace(path)
-
-
-def sweep(folder: Path, episodes: Iterable[EpisodeRecord]) -> None:
-    """Remove what a page no longer shows, and what an interrupted call left."""
-    ids = {episode.id for episode in episodes}
-    for path in list((folder / EPISODES).iterdir()):
-        if path.name.removesuffix(".js") not in ids or not path.name.endswith(".js") or not path.is_file():
-            remove_tree(path)
-    for path in list((folder / CLIPS).iterdir()):
-        if path.name not in ids or path.is_symlink() or not path.is_dir():
-            remove_tree(path)
-
-
-def _flaws_of(path: Path, key: str) -> dict[str, int] | None:
-    """Return the flaws that a rendered episode names in its first line; None if it is not there or out of date."""
-    try:
-        with path.open("rb") as file:
-            head = parsed_json(file.readline(_LONGEST_HEAD).removeprefix(b"// "), path)
-    except (OSError, CorruptEpisode):
-        return None
-    flaws = head.get("flaws")
-    is_right = isinstance(flaws, dict) and all(type(count) is int for count in flaws.values())
-    return flaws if head.get("key") == key and is_right else None

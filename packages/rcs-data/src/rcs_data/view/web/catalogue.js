@@ -51,22 +51,13 @@ function showFacts(dataset) {
   const speed = dataset.isFasterThanLife ? [element("p", { className: "dim", textContent: "Simulated without waiting for the clock: periods are computing times, and are not checked." })] : [];
   const features = element("details", {}, element("summary", { textContent: dataset.features.length + " features" }), table(dataset.features));
   const failures = dataset.failures.length ? table(dataset.failures) : element("p", { className: "dim", textContent: "No episode failed." });
-  const ways = dataset.diversity ? [column("Diversity", ...diversity(dataset.diversity))] : [];
-  about.append(element("div", { className: "tables" }, column("Failures by class", failures), ...ways, column("Recording", table(dataset.recording), ...speed), column("Setup", table(dataset.setup), whole, features)), note);
+  about.append(element("div", { className: "tables" }, column("Failures by class", failures), column("Recording", table(dataset.recording), ...speed), column("Setup", table(dataset.setup), whole, features)), note);
   const button = document.getElementById("about-button");
   button.addEventListener("click", () => {
     about.hidden = !about.hidden;
     button.setAttribute("aria-expanded", String(!about.hidden));
     window.dispatchEvent(new Event("resize"));
   });
-}
-
-// By how much the ways of the arms differ, and the scripted expert's, where somebody has asked it.
-function diversity(found) {
-  const rows = [["ways differ by", found.ways.toFixed(3) + " rad"]];
-  if (found.scripted !== null) rows.push(["scripted expert's by", found.scripted.toFixed(3) + " rad"]);
-  rows.push(["episodes compared", String(found.episodes)]);
-  return [table(rows), element("p", { className: "dim", textContent: "Mean RMS distance of two episodes' joints, each from its own start to its own goal." })];
 }
 
 const BLOCK = 100; // so many episodes become elements together, when they come near to where the list is looked at

@@ -1,0 +1,145 @@
+"""Pulls LeRobot datasets from the Hugging Face Hub, whole or in part, and pushes exports to it.
+
+Needs the extra `hub`. The server, the token and the cache are those of `huggingface_hub`: HF_ENDPOINT, HF_TOKEN,
+HF_HOME.
+"""
+
+from __future__ import annotations
+
+import glob
+import importlib
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rcs_data.convert.lerobot.import_ import is_lerobot
+from rcs_data.convert.lerobot.mapping import feature_mapping
+from rcs_data.convert.lerobot.source import LeRobotSource
+from rcs_data.convert.options import ImportOptions, selected_numbers
+from rcs_data.errors import DatasetError, InvalidSetup, MissingDependency, RcsError
+
+# LeRobot looks for datasets of this tag; the Hub's viewer needs the paths.
+_CARD = """---
+tags: [LeRobot]
+task_categories: [robotics]
+configs:
+- config_name: default
+  data_files: data/*/*.parquet
+---
+
+A LeRobotDataset {version}: {episodes} episodes, {frames} frames, {fps:g} frames per second, robot {robot}.
+"""
+
+
+def pull(
+    repo: str,
+    out: str | Path,
+    *,
+    revision: str | None = None,
+    episodes: Sequence[str] | None = None,
+    cameras: Sequence[str] | None = None,
+) -> Path:
+    """Download a LeRobot dataset; called again after an error, it goes on where it was.
+
+    Args:
+        repo: Its name on the Hub, such as "lerobot/pusht".
+        out: The folder to make or to complete.
+        revision: A branch, tag or commit; None for the newest.
+        episodes: Numbers and ranges, as for an import; None for all. In v3.0, a file has many episodes, and files are
+            downloaded as a whole.
+        cameras: Cameras, as for an import; None for all.
+
+    Raises:
+        MissingDependency: huggingface_hub is not installed.
+        DatasetError: The Hub refuses or cannot be reached, or the repository has no LeRobot dataset.
+        InvalidSetup: An episode or camera is unknown.
+    """
+    hub, root = _load(), Path(out)
+
+    def download(patterns: list[str] | None) -> None:
+        with _hub_errors(f"pull {repo}"):
+            hub.snapshot_download(
+                repo, repo_type="dataset", revision=revision, local_dir=str(root), allow_patterns=patterns
+            )
+
+    download(["meta/*"])
+    if not is_lerobot(root):
+        raise DatasetError(f"{repo} has no meta/info.json, so it is not a LeRobot dataset.")
+    if episodes is None and cameras is None:
+        download(None)
+        return root
+    source = LeRobotSource(root)
+    chosen = selected_numbers(episodes, source.lengths)
+    options = ImportOptions(cameras=None if cameras is None else tuple(cameras))
+    names = [name for name in feature_mapping(source, None, options).cameras if source.is_video(name)]
+    wanted = [str(path) for path in source.files(chosen)]
+    wanted += [str(source.video(name, index).path.relative_to(root)) for name in names for index in chosen]
+    download([*map(glob.escape, dict.fromkeys(wanted)), "README.md"])
+    return root
+
+
+def push(path: str | Path, repo: str, *, private: bool = False) -> str:
+    """Upload a LeRobot dataset, such as an export, and return its address; files that are there already are skipped.
+
+    Args:
+        path: Its folder.
+        repo: Its name on the Hub; it is made if it does not exist.
+        private: Whether a new one can be seen only by its owners.
+
+    Raises:
+        MissingDependency: huggingface_hub is not installed.
+        InvalidSetup: The folder is not a LeRobot dataset.
+        DatasetError: The Hub refuses or cannot be reached.
+        CorruptEpisode: The description of the dataset is damaged.
+    """
+    hub, root = _load(), Path(path)
+    if not is_lerobot(root):
+        raise InvalidSetup(
+            f"{root} is not a LeRobot dataset: meta/info.json is missing. Export one with "
+            f"`rcs-data export DATASET --format lerobot-v3 --out EXPORT`."
+        )
+    source = LeRobotSource(root)
+    where: dict[str, Any] = {"repo_id": repo, "repo_type": "dataset"}
+    with _hub_errors(f"push to {repo}"):
+        api = hub.HfApi()
+        address = str(api.create_repo(**where, private=private, exist_ok=True))
+        api.upload_folder(
+            **where,
+            folder_path=str(root),
+            ignore_patterns=[".cache/*"],
+            commit_message=f"LeRobotDataset {source.version}, {len(source.lengths)} episodes",
+        )
+        if not (root / "README.md").is_file():
+            card = _CARD.format(
+                version=source.version,
+                episodes=len(source.lengths),
+                frames=source.frames,
+                fps=source.fps,
+                robot=source.info.get("robot_type") or "unknown",
+            )
+            api.upload_file(**where, path_or_fileobj=card.encode(), path_in_repo="README.md")
+        # LeRobot reads the revision with the tag of its version, so the tag must move.
+        if any(tag.name == source.version for tag in api.list_repo_refs(**where).tags):
+            api.delete_tag(**where, tag=source.version)
+        api.create_tag(**where, tag=source.version)
+    return address
+
+
+def _load() -> Any:
+    try:
+        return importlib.import_module("huggingface_hub")
+    except ImportError as err:
+        raise MissingDependency("The Hub needs huggingface_hub: pip install 'rcs-data[hub]'.") from err
+
+
+@contextmanager
+def _hub_errors(doing: str) -> Generator[None]:
+    try:
+        yield
+    except RcsError:
+        raise
+    # Its errors have no class in common, nor have those of the HTTP clients that its versions use.
+    except Exception as err:
+        text = " ".join(str(err).split())
+        raise DatasetError(f"Cannot {doing}: {type(err).__name__}: {text}") from err

@@ -1,0 +1,1 @@
+"""MCAP files, for Foxglove and Rerun."""

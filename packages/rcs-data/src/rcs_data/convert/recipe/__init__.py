@@ -1,0 +1,1 @@
+"""Recipes for the trainers of other projects."""

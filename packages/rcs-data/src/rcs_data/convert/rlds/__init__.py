@@ -1,0 +1,1 @@
+"""RLDS in folders of TensorFlow Datasets, for Octo and OpenVLA."""

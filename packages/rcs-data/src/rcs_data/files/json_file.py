@@ -1,0 +1,100 @@
+"""Reads JSON: an object per file, or per line, with finite numbers; and checks what is in it."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from functools import cache
+from pathlib import Path
+from typing import Any, NoReturn
+
+import msgspec
+
+from rcs_data.errors import CorruptEpisode
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a file with one JSON object.
+
+    Raises:
+        CorruptEpisode: It is missing, or not a JSON object.
+    """
+    return parsed_json(read_bytes(path), path)
+
+
+def read_json_lines(path: Path) -> list[dict[str, Any]]:
+    """Read a file with a JSON object per line.
+
+    Raises:
+        CorruptEpisode: It is missing, or a line is not a JSON object.
+    """
+    # Only at "\n": `splitlines` also splits at Unicode line separators within a text.
+    return [parsed_json(line, path) for line in read_bytes(path).split(b"\n") if line.strip()]
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a file.
+
+    Raises:
+        CorruptEpisode: It is missing, not a file, or cannot be read.
+    """
+    if not path.is_file():  # reading a pipe would never end
+        raise CorruptEpisode(f"{path} is missing or not a file.")
+    try:
+        return path.read_bytes()
+    except OSError as err:
+        raise CorruptEpisode(f"Cannot read {path}: {err.strerror or err}.") from err
+
+
+def parsed_json(data: bytes | str, path: Path | str) -> dict[str, Any]:
+    """Return the JSON object in some text.
+
+    Args:
+        data: The text, bytes as UTF-8.
+        path: The file, for the message.
+
+    Raises:
+        CorruptEpisode: It is not a JSON object, or has a number that is none.
+    """
+    try:
+        text = data if isinstance(data, str) else data.decode()
+        values = _DECODER.decode(text)
+        if "\\u" in text:  # half a surrogate pair is written so, and cannot be stored
+            json.dumps(values, ensure_ascii=False).encode()
+    except (ValueError, RecursionError) as err:
+        raise CorruptEpisode(f"{path} is damaged: {err}.") from err
+    if not isinstance(values, dict):
+        raise CorruptEpisode(f"{path} is damaged: it is not a JSON object.")
+    return values
+
+
+def check_fields(values: Any, kind: Any) -> None:
+    """Check JSON values against a `TypedDict`, or a type made of such; fields that it does not name are ignored.
+
+    Raises:
+        msgspec.ValidationError: A field is missing or not valid; the message names it.
+    """
+    _look_at(kind)
+    msgspec.convert(values, kind)
+
+
+@cache
+def _look_at(kind: Any) -> None:
+    """Let msgspec take a type apart; its process crashes where two threads do so at a time (msgspec 0.22)."""
+    with _LOOKING:
+        msgspec.json.Decoder(kind)
+
+
+def _refused(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not JSON")
+
+
+def _number(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{text} is out of range")
+    return value
+
+
+_LOOKING = threading.Lock()
+_DECODER = json.JSONDecoder(parse_constant=_refused, parse_float=_number)

@@ -1,0 +1,172 @@
+"""`steps.parquet`: the numbers of an episode, a row per step, without compression, so that any Parquet reader has them.
+
+The column `episode` has the id, `step` counts from 0, and an image is its number in `frames.zip`. Null says that there
+is nothing: no action before a reset, no image yet, no time measured. A value that is held, or an image that is shown
+again, is there in every row; dictionary encoding has it take no space.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Generator, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from rcs_data.errors import CorruptEpisode
+from rcs_data.files.durable import HashedFile
+from rcs_data.files.feature import EPISODE, STEP
+from rcs_data.files.info import DatasetInfo
+
+_UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError, OverflowError)
+# Most rows per row group, and most memory that one takes [B]; fixed by the columns, so that the bytes do not depend on
+# how the rows came.
+_MOST_ROWS, _MOST_BYTES = 16384, 1 << 25
+
+
+class StepsWriter:
+    """Writes the file group by group, hashed on the way."""
+
+    def __init__(self, path: Path, info: DatasetInfo, episode_id: str) -> None:
+        """Start the file, replacing any that is there.
+
+        Args:
+            path: The file.
+            info: What the dataset's episodes share.
+            episode_id: The episode.
+        """
+        self.name = path.name
+        self.rows = 0
+        self._id = episode_id
+        self._waiting: list[pa.Table] = []
+        self._held = 0
+        self._group = max(1, min(_MOST_ROWS, _MOST_BYTES // sum(map(_width, info.steps_schema.types[1:]))))
+        coded: Any = [EPISODE]  # and values that last
+        coded += [f.key if f.shape == () else f"{f.key}.list.element" for f in info.features if f.encoding == "held"]
+        self._file = HashedFile(path)
+        self._writer = pq.ParquetWriter(
+            self._file,
+            info.steps_schema,
+            use_dictionary=coded,
+            write_statistics=False,
+            write_page_checksum=True,
+            compression="none",
+            store_schema=False,  # lists of any length: Arrow before version 26 cannot read fixed ones that are null
+        )
+
+    def __enter__(self) -> StepsWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        # In this order: after a failure the Parquet writer still writes its footer, which a closed file drops.
+        self._file.close()
+        self._writer.close()
+
+    def write(self, rows: pa.Table) -> None:
+        """Append rows with the numbers of images; what they were read from, images and all, is not kept."""
+        rows = rows.take(pa.array(np.arange(rows.num_rows)))
+        ids = pa.array([self._id] * rows.num_rows, pa.string())
+        steps = pa.array(np.arange(self.rows, self.rows + rows.num_rows))
+        rows = rows.add_column(0, STEP, steps).add_column(0, EPISODE, ids)
+        self.rows += rows.num_rows
+        while self._held + rows.num_rows >= self._group:
+            head = self._group - self._held
+            self._write_group(rows.slice(0, head))
+            rows = rows.slice(head)
+        if rows.num_rows:
+            self._waiting.append(rows)
+            self._held += rows.num_rows
+
+    def complete(self) -> str:
+        """Write what is left and the footer, bring the file to the disk and return its SHA-256."""
+        if self._waiting:
+            self._write_group()
+        self._writer.close()
+        return self._file.complete()
+
+    def _write_group(self, *last: pa.Table) -> None:
+        group = pa.concat_tables([*self._waiting, *last]).combine_chunks()
+        self._writer.write_table(group, row_group_size=group.num_rows)
+        self._waiting, self._held = [], 0
+
+
+def read_steps(path: Path, info: DatasetInfo, length: int, columns: Sequence[str]) -> pa.Table:
+    """Return columns of all rows, lists of numbers as lists of fixed length.
+
+    Args:
+        path: The file.
+        info: What the dataset's episodes share.
+        length: Rows of the episode.
+        columns: Names of `info.steps_schema`.
+
+    Raises:
+        CorruptEpisode: The file is missing, damaged, or not that of such an episode.
+    """
+    with _opened(path, info, length, mapped=True) as file:
+        return _fixed(file.read(columns=list(columns), use_threads=False), info)
+
+
+def step_groups(path: Path, info: DatasetInfo, length: int) -> Iterator[pa.Table]:
+    """Yield all rows as `read_steps` has them, a group at a time; the file is read, not mapped.
+
+    Raises:
+        CorruptEpisode: The file is missing, damaged, or not that of such an episode.
+    """
+    with _opened(path, info, length, mapped=False) as file:
+        for group in range(file.num_row_groups):
+            yield _fixed(file.read_row_group(group, use_threads=False), info)
+
+
+@contextlib.contextmanager
+def _opened(path: Path, info: DatasetInfo, length: int, *, mapped: bool) -> Generator[Any]:
+    if not path.is_file():  # opening a pipe would never end
+        raise CorruptEpisode(f"Cannot read {path}: it is missing or not a file.")
+    try:
+        # Not `read_table`, which takes a folder named "seed=3" for a partition and adds a column.
+        with pq.ParquetFile(path, memory_map=mapped, page_checksum_verification=True) as file:
+            if file.metadata.num_rows != length:
+                raise CorruptEpisode(f"{path} has {file.metadata.num_rows} rows; expected {length}.")
+            if file.schema_arrow.names != info.steps_schema.names:
+                raise CorruptEpisode(f"The columns of {path} differ from the dataset's.")
+            yield file
+    except CorruptEpisode:
+        raise
+    except _UNREADABLE as err:
+        raise CorruptEpisode(f"Cannot read {path}: {err}.") from err
+
+
+def _fixed(rows: pa.Table, info: DatasetInfo) -> pa.Table:
+    """Return the rows with the types of the dataset.
+
+    Raises:
+        CorruptEpisode: A column is of another type, or a list of another length.
+    """
+    schema = pa.schema([info.steps_schema.field(name) for name in rows.column_names])
+    try:
+        columns = [
+            _column(column.combine_chunks(), kind) for column, kind in zip(rows.columns, schema.types, strict=True)
+        ]
+        return pa.Table.from_arrays(columns, schema=schema)
+    except (pa.ArrowException, ValueError, TypeError) as err:
+        raise CorruptEpisode(f"The columns of an episode differ from the dataset's: {err}.") from err
+
+
+def _column(given: pa.Array, kind: pa.DataType) -> pa.Array:
+    if not pa.types.is_fixed_size_list(kind):
+        return given
+    values = given.flatten()
+    if not given.null_count:
+        return pa.FixedSizeListArray.from_arrays(values, kind.list_size)
+    # A list that is null has no values.
+    found = values.to_numpy(zero_copy_only=False)
+    numbers = np.zeros((len(given), kind.list_size), found.dtype)
+    is_there = given.is_valid().to_numpy(zero_copy_only=False)
+    numbers[is_there] = found.reshape(-1, kind.list_size)
+    return pa.FixedSizeListArray.from_arrays(pa.array(numbers.reshape(-1)), kind.list_size, mask=pa.array(~is_there))
+
+
+def _width(kind: pa.DataType) -> int:
+    return kind.list_size * _width(kind.value_type) if pa.types.is_fixed_size_list(kind) else -(-kind.bit_width // 8)

@@ -1,1 +1,0 @@
-"""What other projects' trainers need to know about a dataset, written as their own configuration."""

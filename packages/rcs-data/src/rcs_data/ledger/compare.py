@@ -1,0 +1,130 @@
+"""Comparisons of agents in a ledger, as figures and in words: pairs of episodes with the same seed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+from rcs_data.errors import InvalidSetup
+from rcs_data.ledger.comparison import FEWEST, Pairs, holm
+from rcs_data.ledger.condition import Condition
+from rcs_data.ledger.ledger import Ledger
+from rcs_data.ledger.row import Row
+from rcs_data.read.verdicts import Verdicts
+
+LEVEL = 0.05
+"""Probability with which equal agents are told apart."""
+_OWN = ("agent", "weights", "trained", "data", "policy", "execution", "tags")
+"""Fields of a condition in which two agents may differ: everything else should be the same."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Two agents on the same seeds."""
+
+    a: str
+    """Name of the first agent, with its hash where names are the same."""
+    b: str
+    """Name of the second."""
+    verdicts: tuple[Verdicts, Verdicts]
+    """All episodes of each."""
+    pairs: Pairs
+    """Episodes with the same seed."""
+    p: float
+    """The p value of the pairs; of several comparisons, adjusted by Holm's method."""
+    differences: dict[str, tuple[Any, Any]]
+    """Values besides the agents that differ between the two, by name."""
+
+    @property
+    def winner(self) -> str | None:
+        """Name of the better agent; None if none is shown to be."""
+        if self.pairs.discordant < FEWEST or self.p > LEVEL:
+            return None
+        return self.a if self.pairs.only_a > self.pairs.only_b else self.b
+
+    @property
+    def words(self) -> str:
+        """The result in a sentence or two."""
+        pairs = self.pairs
+        if not pairs.n:
+            return f"Not comparable: {self.a} and {self.b} share no seed on which both were judged."
+        low, high = (100 * bound for bound in pairs.interval)
+        difference = 100 * (pairs.difference or 0.0)
+        where = f"on {pairs.n} shared seeds"
+        size = f"{difference:+.1f} points, 95 % interval {low:+.1f} to {high:+.1f}"
+        size = f"{size}, p = {self.p:.2g}, e = {pairs.evidence:.2g}"
+        if (winner := self.winner) is not None:
+            return f"{winner} is better than {self.b if winner == self.a else self.a} {where} ({size})."
+        told = f"Not shown that {self.a} and {self.b} differ {where} ({size})."
+        if pairs.discordant < FEWEST:
+            return (
+                f"{told} They ended differently on {pairs.discordant} of them, and fewer than {FEWEST} give no verdict."
+            )
+        if (needed := pairs.needed()) is not None and needed > pairs.n:
+            told += f" About {needed} shared seeds would show a difference of this size."
+        return told
+
+
+def compare(ledger: Ledger, names: Sequence[str] = ()) -> list[Comparison]:
+    """Compare every two agents of a ledger.
+
+    Args:
+        ledger: The ledger.
+        names: Names of the agents or starts of their conditions' hashes, at least two; none for all.
+
+    Raises:
+        InvalidSetup: There is no such agent, or there are fewer than two.
+        CorruptEpisode: The description of a condition is damaged.
+    """
+    hashes = list(dict.fromkeys(ledger.find(name) for name in names)) if names else list(ledger.conditions)
+    if len(hashes) < 2:
+        raise InvalidSetup(f"{len(hashes)} agent in {ledger.folder} to compare; name two, or evaluate another.")
+    labels = labels_of(ledger, hashes)
+    rows = {one: ledger.of(one) for one in hashes}
+    found = [
+        _compared(labels[a], labels[b], rows[a], rows[b], ledger.condition(a), ledger.condition(b))
+        for a, b in combinations(hashes, 2)
+    ]
+    # Those that share no seed test nothing, so they make no verdict harder.
+    adjusted = iter(holm([one.p for one in found if one.pairs.n]))
+    return [replace(one, p=next(adjusted)) if one.pairs.n else one for one in found]
+
+
+def labels_of(ledger: Ledger, hashes: Sequence[str]) -> dict[str, str]:
+    """Return the names of the agents of conditions, with the hash where a name is not enough."""
+    names = {one: ledger.condition(one).agent for one in hashes}
+    return {
+        one: name if list(names.values()).count(name) == 1 else f"{name} ({one[:6]})" for one, name in names.items()
+    }
+
+
+def verdicts_of(rows: Sequence[Row]) -> Verdicts:
+    """Count the verdicts of rows."""
+    return Verdicts.of(row.success for row in rows)
+
+
+def pairs_of(a: Sequence[Row], b: Sequence[Row]) -> Pairs:
+    """Count the verdicts of two agents on the seeds of their rows."""
+    return Pairs.of({row.seed: row.success for row in a}, {row.seed: row.success for row in b})
+
+
+def _compared(
+    a: str, b: str, rows_a: Sequence[Row], rows_b: Sequence[Row], one: Condition, other: Condition
+) -> Comparison:
+    pairs = pairs_of(rows_a, rows_b)
+    # A module that one agent alone has is its own.
+    found = {
+        name: (ours, theirs)
+        for name, (ours, theirs) in one.differences(other).items()
+        if name.partition(".")[0] not in _OWN and not (name.startswith("code.") and None in (ours, theirs))
+    }
+    return Comparison(
+        a=a,
+        b=b,
+        verdicts=(verdicts_of(rows_a), verdicts_of(rows_b)),
+        pairs=pairs,
+        p=pairs.p,
+        differences=found,
+    )

@@ -1,0 +1,1 @@
+"""Reading: datasets, episodes, single images, and windows for training."""

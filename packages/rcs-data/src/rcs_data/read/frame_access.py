@@ -1,0 +1,128 @@
+"""Single images of episodes in any order, without reading those around them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs_data.errors import InvalidSetup
+from rcs_data.files.codec import blank_frame, pixel_buffer
+from rcs_data.files.frames_file import FramesFile
+from rcs_data.files.layout import FRAMES_FILE
+from rcs_data.read.cache import ByteCache
+from rcs_data.read.episode_record import EpisodeRecord, decoded
+
+INDEX_BYTES = 1 << 28
+"""Memory for the numbers of images by default [B], 4 per row and camera: 64 million images."""
+# A process may open 1024 files by default, and each worker has its own.
+_MOST_OPEN = 256
+
+
+class FrameAccess:
+    """Reads single images of episodes. Not thread-safe; a copy in another process opens its own files."""
+
+    def __init__(self, cache_bytes: int = INDEX_BYTES) -> None:
+        """Start with nothing read.
+
+        Args:
+            cache_bytes: Memory for the numbers of images; beyond it, those of the least recently used episode are read
+                again when needed.
+
+        Raises:
+            InvalidSetup: It is negative.
+        """
+        self._cache_bytes = cache_bytes
+        self._numbers: ByteCache[dict[str, NDArray[np.int32]]] = ByteCache(cache_bytes)
+        self._files: ByteCache[FramesFile] = ByteCache(_MOST_OPEN)
+        self._decoded: dict[tuple[Any, ...], NDArray[Any]] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy nothing but the limit."""
+        return FrameAccess, (self._cache_bytes,)
+
+    def encoded(self, episode: EpisodeRecord, key: str, rows: Sequence[int]) -> list[bytes]:
+        """Return images as stored: the bytes that `EpisodeRecord.encoded_frames` yields for these rows.
+
+        Args:
+            episode: The episode.
+            key: The feature.
+            rows: The rows, in any order; the same image in sequence is read once.
+
+        Raises:
+            InvalidSetup: There is no such feature or row, or the feature is not an image.
+            CorruptEpisode: A file is missing or damaged.
+        """
+        numbers, file = self._images(episode, key, rows)
+        feature, images = episode.info.feature(key), dict[int, bytes]()
+        for number in numbers.tolist():
+            if number not in images:
+                images[number] = file.image(number) if number >= 0 else blank_frame(feature, episode.info)
+        return [images[number] for number in numbers.tolist()]
+
+    def frame(self, episode: EpisodeRecord, key: str, row: int) -> NDArray[Any]:
+        """Return one image: (H, W, 3) uint8, or (H, W) uint16 millimetres for depth.
+
+        Args:
+            episode: The episode.
+            key: The feature.
+            row: The row.
+
+        Raises:
+            InvalidSetup: There is no such feature or row, or the feature is not an image.
+            CorruptEpisode: A file is missing or damaged.
+        """
+        feature = episode.info.feature(key)
+        out = np.empty((1, *feature.shape), feature.numpy_dtype)
+        self.frames(episode, key, [row], out)
+        return out[0]
+
+    def frames(self, episode: EpisodeRecord, key: str, rows: Sequence[int], out: NDArray[Any]) -> None:
+        """Decode images into an array; they equal what `EpisodeRecord.frames` yields, bit for bit.
+
+        Args:
+            episode: The episode.
+            key: The feature.
+            rows: The rows, in any order.
+            out: Where they go, shape (len(rows), *feature.shape).
+
+        Raises:
+            InvalidSetup: There is no such feature or row, or the feature is not an image.
+            CorruptEpisode: A file is missing or damaged; the message has the row.
+        """
+        feature = episode.info.feature(key)
+        # Decoding writes line by line, which is slow outside of the processor's cache; this array is in it.
+        form = (feature.shape, feature.dtype, feature.encoding)
+        image = self._decoded.get(form)
+        if image is None:
+            is_jpeg = feature.encoding == "jpeg"
+            image = pixel_buffer(feature.shape) if is_jpeg else np.empty(feature.shape, feature.numpy_dtype)
+            self._decoded[form] = image
+        numbers, file = self._images(episode, key, rows)
+        last: int | None = None
+        for n, number in enumerate(numbers.tolist()):
+            if number != last:
+                decoded(feature, file, number, rows[n], image)
+            out[n] = image
+            last = number
+
+    def _images(self, episode: EpisodeRecord, key: str, rows: Sequence[int]) -> tuple[NDArray[np.int32], FramesFile]:
+        """Return the numbers of the images in some rows, and the file that has them."""
+        numbers = self._numbers_of(episode, key)
+        wrong = [row for row in rows if not 0 <= row < len(numbers)]
+        if wrong:
+            raise InvalidSetup(f"Episode {episode.id!r} has no row {wrong[0]}; valid are 0 to {len(numbers) - 1}.")
+        file = self._files.get(episode.place, lambda: (FramesFile(episode.path / FRAMES_FILE), 1))
+        return numbers[np.asarray(rows, np.intp)], file
+
+    def _numbers_of(self, episode: EpisodeRecord, key: str) -> NDArray[np.int32]:
+        def read() -> tuple[dict[str, NDArray[np.int32]], int]:
+            # Of all cameras at once, since one window has all of them.
+            numbers = episode.image_numbers(feature.key for feature in episode.info.features if feature.is_image)
+            return numbers, sum(column.nbytes for column in numbers.values())
+
+        if not episode.info.feature(key).is_image:
+            raise InvalidSetup(f"{key!r} is not an image; read it with column({key!r}).")
+        return self._numbers.get(episode.place, read)[key]

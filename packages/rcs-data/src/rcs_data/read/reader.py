@@ -1,0 +1,130 @@
+"""Reads a dataset lazily: its episodes one by one, and only the parts of each that are used."""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rcs_data.errors import InvalidSetup
+from rcs_data.files.layout import episodes_folder
+from rcs_data.index.history import Edit, history
+from rcs_data.index.index import Index
+from rcs_data.read.episode_record import EpisodeRecord as EpisodeRecord
+
+if TYPE_CHECKING:
+    from rcs_data.read.windows import Windows
+
+
+class Dataset:
+    """A dataset on disk, for reading; one that is being recorded can be read too.
+
+    Example:
+        >>> dataset = Dataset("datasets/pick")  # doctest: +SKIP
+        >>> dataset[3]["observation/joints"]  # doctest: +SKIP
+        >>> loader = torch.utils.data.DataLoader(dataset.windows(history=2, actions=16))  # doctest: +SKIP
+    """
+
+    def __init__(self, path: str | Path, index: Index | None = None) -> None:
+        """Open the dataset in a folder.
+
+        Args:
+            path: The folder.
+            index: Its index, if it was read already.
+
+        Raises:
+            DatasetError: There is no dataset, or its layout is of another version.
+            CorruptEpisode: The index is damaged.
+        """
+        self.path = Path(path).absolute()  # a program may change its folder
+        index = index or Index(self.path)
+        self.info = index.info
+        self.episodes = _records(episodes_folder(self.path), index)
+        """The complete episodes, sorted by id."""
+
+    @classmethod
+    def open(cls, path: str | Path) -> Dataset:
+        """Open the dataset in a folder, as `Dataset(path)` does."""
+        return cls(path)
+
+    @cached_property
+    def history(self) -> tuple[Edit, ...]:
+        """The edits, oldest first.
+
+        Raises:
+            CorruptEpisode: The history is damaged.
+        """
+        return tuple(history(self.path))
+
+    def windows(self, *, history: int = 1, actions: int = 16, **options: Any) -> Windows:
+        """Return the windows of all steps for training: some observations up to a step, and the actions from it on.
+
+        `torch.utils.data.DataLoader` takes them as they are.
+
+        Args:
+            history: Observations in a window.
+            actions: Actions in a window.
+            options: Other arguments of `rcs_data.Windows`: cameras, episodes, image_size, stride, and so on.
+
+        Raises:
+            InvalidSetup: An argument does not make sense, or there is no window.
+        """
+        from rcs_data.read.windows import Windows  # which reads datasets itself
+
+        return Windows(self, history=history, horizon=actions, **options)
+
+    def digest(self) -> str:
+        """Return one SHA-256 over all episodes except times and flags: equal for two runs of one collection."""
+        total = hashlib.sha256()
+        for entry in (episode.entry for episode in self.episodes):
+            total.update(f"{entry.id} {entry.content_hash}\n".encode())
+        return total.hexdigest()
+
+    def __repr__(self) -> str:
+        return f"Dataset({str(self.path)!r}, {len(self)} episodes)"
+
+    def __iter__(self) -> Iterator[EpisodeRecord]:
+        return iter(self.episodes)
+
+    def __contains__(self, episode: object) -> bool:
+        """Return whether the dataset has a complete episode, given its id or record."""
+        if isinstance(episode, EpisodeRecord):
+            return episode in self.episodes
+        return episode in self._by_id
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+    def __getitem__(self, episode: str | int) -> EpisodeRecord:
+        """Return the episode of an id, or of a number among those sorted by id.
+
+        Raises:
+            InvalidSetup: There is none of this id.
+            IndexError: There is none of this number.
+        """
+        if isinstance(episode, int):
+            return self.episodes[episode]
+        try:
+            return self._by_id[episode]
+        except KeyError:
+            known = f"which has {len(self)} episodes"
+            raise InvalidSetup(f"There is no episode {episode!r} in {self.path}, {known}.") from None
+
+    @cached_property
+    def _by_id(self) -> dict[str, EpisodeRecord]:
+        return {episode.id: episode for episode in self.episodes}
+
+
+def _records(folder: Path, index: Index) -> tuple[EpisodeRecord, ...]:
+    """Return the records of all episodes by id; looks for garbage in between would take longer than the rest."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        entries = map(index.entries.__getitem__, sorted(index.entries))
+        return tuple([EpisodeRecord(f"{folder}/{entry.folder}", index.info, entry) for entry in entries])
+    finally:
+        if was_on:
+            gc.enable()

@@ -1,0 +1,159 @@
+"""An image read alone is the image that comes when all are read in order."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, FrameAccess
+from rcs_data.errors import CorruptEpisode, InvalidSetup
+
+RGB, LOSSLESS, DEPTH = (f"observation/frames/wrist/{kind}" for kind in ("rgb", "exact", "depth"))
+KEYS = (RGB, LOSSLESS, DEPTH)
+
+
+def make(path: Path, length: int, held: tuple[int, ...] = ()) -> Dataset:
+    """A dataset of two episodes with noisy images; the rows in `held` have no new one."""
+    features = (
+        Feature(key="observation/joints", shape=(2,), dtype="float64"),
+        Feature(key=RGB, shape=(16, 24, 3), dtype="uint8", encoding="jpeg"),
+        Feature(key=LOSSLESS, shape=(6, 8, 3), dtype="uint8", encoding="lossless"),
+        Feature(key=DEPTH, shape=(6, 8), dtype="uint16", encoding="depth"),
+    )
+    info = DatasetInfo(frequency=30.0, features=features, setup={}, instruction="move")
+    rng = np.random.default_rng(0)
+    with DatasetWriter.open(path, info) as writer:
+        for seed in range(2):
+            with writer.episode(f"{seed:06d}", seed=seed) as episode:
+                for row in range(length):
+                    values: dict[str, object] = {"observation/joints": rng.normal(size=2)}
+                    for feature in features[1:]:
+                        top = int(np.iinfo(feature.numpy_dtype).max) + 1
+                        image = rng.integers(0, top, feature.shape, feature.numpy_dtype)
+                        values[feature.key] = None if row in held else image
+                    episode.add(values)
+                episode.finish(True)
+    return Dataset.open(path)
+
+
+@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("held", [(), (0, 1, 5, 6, 9)])
+def test_any_order_gives_what_reading_in_order_gives(tmp_path: Path, key: str, held: tuple[int, ...]) -> None:
+    found = make(tmp_path / "dataset", 10, held)
+    access = FrameAccess()
+    order = np.random.default_rng(0).permutation(20).tolist()
+    for number in order:
+        episode, row = found.episodes[number // 10], number % 10
+        np.testing.assert_array_equal(access.frame(episode, key, row), episode.column(key)[row])
+    rows = [3, 3, 0, 9, 5, 4]
+    encoded = list(found.episodes[0].encoded_frames(key))
+    assert access.encoded(found.episodes[0], key, rows) == [encoded[row] for row in rows]
+
+
+@pytest.mark.parametrize("held", [(), (0, 1, 32, 33, 90)])
+def test_rows_with_images_are_the_same_from_any_row_on(tmp_path: Path, held: tuple[int, ...]) -> None:
+    episode = make(tmp_path / "dataset", 100, held).episodes[1]
+    whole = pa.concat_tables(episode.rows()).combine_chunks()
+    assert whole.num_rows == 100
+    for key in KEYS:
+        assert [image is None for image in whole.column(key).to_pylist()] == [row in held for row in range(100)]
+    for start, stop in ((0, 0), (0, 7), (31, 64), (33, 34), (90, None), (100, None)):
+        part = pa.concat_tables([whole.schema.empty_table(), *episode.rows(start, stop)])
+        assert part.equals(whole.slice(start, (100 if stop is None else stop) - start))
+
+
+def test_pieces_of_rows_are_bounded_by_their_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    episode = make(tmp_path / "dataset", 20).episodes[0]
+    whole = pa.concat_tables(episode.rows())
+    monkeypatch.setattr("rcs_data.read.episode_record._BYTES_IN_A_PIECE", 2000)
+    pieces = list(episode.rows())
+    assert len(pieces) > 5
+    assert pa.concat_tables(pieces).equals(whole)
+
+
+def test_equal_images_are_one_image(tmp_path: Path) -> None:
+    episode = make(tmp_path / "dataset", 8, held=(4, 5)).episodes[0]
+    images = FrameAccess().encoded(episode, RGB, [3, 4, 5, 6])
+    assert images[0] is images[1]
+    assert images[1] is images[2]
+    assert images[2] is not images[3]
+
+
+def test_few_files_stay_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = make(tmp_path / "dataset", 5)
+    monkeypatch.setattr("rcs_data.read.frame_access._MOST_OPEN", 1)
+    access = FrameAccess(cache_bytes=0)
+    for row in (0, 4):
+        for episode in found.episodes:
+            np.testing.assert_array_equal(access.frame(episode, RGB, row), episode.column(RGB)[row])
+    assert len(access._files) == len(access._numbers) == 1
+    copy = pickle.loads(pickle.dumps(access))
+    np.testing.assert_array_equal(copy.frame(found.episodes[0], RGB, 1), found.episodes[0].column(RGB)[1])
+
+
+def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
+    episode = make(tmp_path / "dataset", 5).episodes[0]
+    access = FrameAccess()
+    for row in (-1, 5):
+        with pytest.raises(InvalidSetup, match=f"no row {row}; valid are 0 to 4"):
+            access.frame(episode, RGB, row)
+    with pytest.raises(InvalidSetup, match="not an image"):
+        access.encoded(episode, "observation/joints", [0])
+
+
+def test_a_damaged_image_is_named_by_its_row_and_others_are_read(tmp_path: Path) -> None:
+    episode = make(tmp_path / "dataset", 40).episodes[1]
+    path = episode.path / "frames.zip"
+    image = list(episode.encoded_frames(RGB))[35]
+    data = path.read_bytes()
+    path.write_bytes(data.replace(image, b"\0\0" + image[2:]))
+    with pytest.raises(CorruptEpisode, match=rf"frames\.zip, '{RGB}', row 35: .* not what was written"):
+        FrameAccess().frame(episode, RGB, 35)
+    with pytest.raises(CorruptEpisode, match="row 35"):
+        list(episode.frames(RGB))
+    assert FrameAccess().frame(episode, RGB, 34).shape == (16, 24, 3)
+
+
+@pytest.mark.parametrize("name", ["frames.zip", "steps.parquet"])
+def test_a_file_that_is_cut_or_missing_is_named(tmp_path: Path, name: str) -> None:
+    episode = make(tmp_path / "dataset", 40).episodes[0]
+    path = episode.path / name
+    data = path.read_bytes()
+    for size in (*range(0, 40, 8), len(data) // 2, len(data) - 100, len(data) - 1):
+        path.write_bytes(data[:size])
+        for use in (lambda: FrameAccess().frame(episode, RGB, 0), lambda: list(episode.rows())):
+            with pytest.raises(CorruptEpisode, match=f"Cannot read .*{name}"):
+                use()
+    path.unlink()
+    with pytest.raises(CorruptEpisode, match=f"Cannot read .*{name}"):
+        FrameAccess().frame(episode, RGB, 0)
+
+
+def test_images_of_another_episode_are_refused(tmp_path: Path) -> None:
+    long, short = make(tmp_path / "long", 40).episodes[0], make(tmp_path / "short", 5).episodes[0]
+    shutil.copy(short.path / "frames.zip", long.path)
+    for row in (5, 39):
+        with pytest.raises(CorruptEpisode, match="not the file that was written"):
+            FrameAccess().frame(long, RGB, row)
+
+
+def test_the_files_are_read_without_this_library(tmp_path: Path) -> None:
+    episode = make(tmp_path / "dataset", 40, held=(0, 7)).episodes[0]
+    with zipfile.ZipFile(episode.path / "frames.zip") as archive:
+        assert archive.testzip() is None
+        images = [archive.read(entry) for entry in archive.infolist()]
+    rows = pq.read_table(episode.path / "steps.parquet")
+    for key in KEYS:
+        numbers = rows.column(key).to_pylist()
+        assert numbers[0] is None
+        assert numbers[7] == numbers[6]
+        assert [images[number] for number in numbers[1:]] == list(episode.encoded_frames(key))[1:]
+    order = [rows.column(key).to_pylist() for key in KEYS]
+    new = [number for row in zip(*order, strict=True) for number in row]
+    assert list(dict.fromkeys(number for number in new if number is not None)) == list(range(38 * 3))
