@@ -7,9 +7,8 @@ import pytest
 from vlagents import Chunk, ImageSpec, InvalidInput, Metadata, Observation, PartSpec
 from vlagents.around import Resized, resized
 from vlagents.policies.random import RandomPolicy
-from vlagents.policies.replay import ReplayPolicy
+from vlagents.policies.replay import Recorded, ReplayPolicy, read_calls
 from vlagents.policies.scripted import ScriptedPolicy
-from vlagents.recorded import Recorded, read_calls
 
 METADATA = Metadata(name="mean", action=(PartSpec("joints", 3),), images=(ImageSpec("side", 20, 20),), rate=10.0)
 

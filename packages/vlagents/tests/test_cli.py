@@ -108,7 +108,7 @@ def test_a_class_or_an_option_that_is_none_is_named(
     ("options", "number"),
     [
         ((), signal.SIGINT),
-        (("--ws",), signal.SIGTERM),
+        (("--wire", "ws"), signal.SIGTERM),
         (("--wire", "openvla"), signal.SIGTERM),
         (("--wire", "gr00t"), signal.SIGINT),
     ],
@@ -120,7 +120,7 @@ def test_a_policy_that_hangs_does_not_keep_its_server_from_ending(
         assert served.stdout is not None
         assert served.stderr is not None
         address = served.stdout.readline().split(" at ")[1].split(". ")[0]
-        asks = connect(address, timeout=20.0, **({"period": 0.1} if "--wire" in options else {}))
+        asks = connect(address, timeout=20.0, period=0.1)
         lost: list[VlagentsError] = []
 
         def ask() -> None:
@@ -151,7 +151,7 @@ def test_what_is_wrong_is_said_in_one_line(capsys: pytest.CaptureFixture[str]) -
     assert "there is no token" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("options", [(), ("--ws",), ("--wire", "openvla"), ("--wire", "gr00t")])
+@pytest.mark.parametrize("options", [(), ("--wire", "ws"), ("--wire", "openvla"), ("--wire", "gr00t")])
 def test_a_port_that_is_taken_is_named(options: Sequence[str], capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
@@ -174,17 +174,7 @@ def test_the_token_comes_from_a_file_or_the_environment(
         assert main(["ping", str(server.address)]) == 0
 
 
-def test_a_hash_tells_checkpoints_apart(tmp_path: Path) -> None:
-    for name, text in (("a", "1"), ("b", "1"), ("c", "2")):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "weights").write_text(text)
-    a, b, c = (catalogue.hash_of(tmp_path / name) for name in "abc")
-    assert a == b != c
-    with pytest.raises(InvalidInput, match="cannot be made"):
-        catalogue.load("random", "runs/a")
-
-
-def test_a_scripted_policy_is_what_its_function_makes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_function_that_makes_a_policy_is_served_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scripts.py").write_text(
         "from vlagents import Metadata, PartSpec\n"
         "from vlagents.policies.scripted import ScriptedPolicy\n"
@@ -193,7 +183,18 @@ def test_a_scripted_policy_is_what_its_function_makes(tmp_path: Path, monkeypatc
         "def number():\n"
         "    return 3\n"
     )
-    monkeypatch.syspath_prepend(str(tmp_path))
-    assert catalogue.load("scripted", "scripts:nod").infer(Observation()).actions.tolist() == [[1.0]]
-    with pytest.raises(InvalidInput, match="made int; valid is a ScriptedPolicy"):
-        catalogue.load("scripted", "scripts:number")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    assert catalogue.load("scripts:nod").infer(Observation()).actions.tolist() == [[1.0]]
+    with pytest.raises(InvalidInput, match=r"made int; valid is a vlagents\.Policy"):
+        catalogue.load("scripts:number")
+
+
+def test_a_hash_tells_checkpoints_apart(tmp_path: Path) -> None:
+    for name, text in (("a", "1"), ("b", "1"), ("c", "2")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "weights").write_text(text)
+    a, b, c = (catalogue.hash_of(tmp_path / name) for name in "abc")
+    assert a == b != c
+    with pytest.raises(InvalidInput, match="cannot be made"):
+        catalogue.load("random", "runs/a")

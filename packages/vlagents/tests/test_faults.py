@@ -105,9 +105,9 @@ def test_a_client_that_is_killed_leaves_nothing_and_touches_nobody(kind: str, ob
             stays.infer(observation)
         assert named_memory() == before
         deadline = time.monotonic() + 5.0
-        while server.clients > 1 and time.monotonic() < deadline:
+        while len(server.channels) > 1 and time.monotonic() < deadline:
             time.sleep(0.01)
-        assert server.clients == 1
+        assert len(server.channels) == 1
 
 
 @pytest.mark.parametrize("kind", ["shared", "tcp", "websocket"])
@@ -159,7 +159,8 @@ def test_somebody_else_gets_no_shared_memory(tmp_path: Path, caplog: pytest.LogC
         other = process(code, str(path))
         connection, _ = listening.accept()
         with connection:
-            Server(RandomPolicy(size=8), port=0)._converse_beside(Guest("somebody", connection))
+            server = Server(RandomPolicy(size=8), port=0)
+            server._answer_guest(Guest(name="somebody", connection=connection), server._open_beside)
         assert "another user" in caplog.text
     other.wait()
 
@@ -313,7 +314,7 @@ def test_an_expired_certificate_is_named_and_nobody_gets_in(tmp_path: Path, kind
         with pytest.raises(ConnectionLost, match="certificate has expired") as caught:
             connect(kind, str(server.address), certificate=certificate, timeout=5.0)
         assert str(server.address) in str(caught.value)
-        assert server.clients == 0
+        assert len(server.channels) == 0
 
 
 def openssl(words: list[str]) -> None:

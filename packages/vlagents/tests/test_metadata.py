@@ -40,7 +40,10 @@ def test_a_robot_that_shows_more_than_is_needed_fits() -> None:
     ("offer", "said"),
     [
         (replace(OFFER, images=OFFER.images[1:]), "needs 'wrist'; the robot shows 'side', 'top'"),
-        (replace(OFFER, images=(ImageSpec("wrist", 480, 224), *OFFER.images[1:])), "height of 224 pixels"),
+        (
+            replace(OFFER, images=(ImageSpec("wrist", 480, 224), *OFFER.images[1:])),
+            "with height 224;",
+        ),
         (replace(OFFER, state=()), "the policy needs 'joints'; the robot shows none"),
         (replace(OFFER, state=(PartSpec("joints", 6, "rad"),)), "size 7"),
         (replace(OFFER, action=(PartSpec("joints", 7, "deg"), PartSpec("gripper", 1))), "unit 'rad'"),
@@ -94,3 +97,25 @@ def test_vlagents_names_what_is_used_most_and_imports_it_when_it_is_used() -> No
     assert callable(vlagents.connect)
     with pytest.raises(AttributeError, match="no attribute 'Servr'"):
         vlagents.Servr  # noqa: B018
+
+
+MANY_THREADS = """
+import threading, time
+import msgspec._utils as utils
+look = utils.get_class_annotations
+utils.get_class_annotations = lambda kind: time.sleep(0.02) or look(kind)  # as on a busy machine
+from vlagents import Metadata
+values = {"name": "a", "action": [{"name": "joints", "size": 7}], "horizon": 1, "rate": 30.0}
+threads = [threading.Thread(target=Metadata.from_dict, args=(values,)) for _ in range(8)]
+for thread in threads:
+    thread.start()
+    time.sleep(0.011)
+for thread in threads:
+    thread.join()
+"""
+
+
+def test_many_threads_read_the_first_one_at_once() -> None:
+    program = [sys.executable, "-c", MANY_THREADS]
+    done = subprocess.run(program, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -82,11 +82,11 @@ def test_a_client_behind_a_pulled_cable_is_let_go_and_its_sessions_forgotten(
 
     monkeypatch.setattr(link.Link, "__init__", impatient)
     client = ask(server, timeout=10.0)
-    assert server.clients == 1
+    assert len(server.channels) == 1
     pull_cable(client._channel._link._socket)
     deadline = time.monotonic() + 20.0
-    while (server.clients or not server.service._policy.forgotten) and time.monotonic() < deadline:
+    while (server.channels or not server.service._policy.forgotten) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert server.clients == 0
+    assert len(server.channels) == 0
     assert len(server.service._policy.forgotten) == 1
     client.close()

@@ -27,6 +27,12 @@ UPGRADE = (
 )
 
 
+@pytest.mark.parametrize(("kind", "port"), [("vla", 8090), ("ws", 8000), ("gr00t", 5555), ("openvla", 8000)])
+def test_a_server_has_the_port_of_its_wire_or_the_one_that_is_given(kind: str, port: int) -> None:
+    assert SERVERS[kind](Counting()).address.port == port
+    assert SERVERS[kind](Counting(), port=4000).address.port == 4000
+
+
 class Counting(Policy):
     """Counts how often it was asked, however that came about."""
 

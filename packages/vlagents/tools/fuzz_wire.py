@@ -34,9 +34,8 @@ from vlagents.other_wires import groot
 from vlagents.policies.random import RandomPolicy
 from vlagents.wire import openpi
 from vlagents.wire.calls import observation_to_values
-from vlagents.wire.local_socket import socket_beside
 from vlagents.wire.message import pack
-from vlagents.wire.shared import HEAD, MAGIC, PLACE, SEALS, SLOTS
+from vlagents.wire.shared import HEAD, MAGIC, PLACE, SEALS, SLOTS, name_beside
 from vlagents.wire.stream import PREFIX
 from vlagents.wire.zmtp import COMMAND, GREETING
 
@@ -117,7 +116,6 @@ class Frames:
             {"call": "infer", "id": 1, "observation": values},
             {"call": "reset", "id": 2, "session": "a", "instruction": "b"},
             {"call": "forget", "id": 3, "session": "a"},
-            {"call": "metadata", "id": 4},
             {"call": "ping", "id": 5},
         ]
 
@@ -302,7 +300,7 @@ def fuzz(wire: str, frames: int, seed: int) -> dict[str, Any]:
         assert serving.stdout is not None
         try:
             address = parse(serving.stdout.readline().strip())
-            place: Any = str(socket_beside(address.port)) if wire == "shared" else (address.host, address.port)
+            place: Any = name_beside(address) if wire == "shared" else (address.host, address.port)
             begin, warm, count, connections, served = time.monotonic(), 0.0, 0, 0, 0
             options: dict[str, Any] = {"is_shared": wire == "shared"} if wire in ("shared", "tcp") else {}
             if wire == "gr00t":

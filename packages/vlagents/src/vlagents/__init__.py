@@ -23,7 +23,7 @@ from vlagents.policy import Policy
 
 if TYPE_CHECKING:
     from vlagents.client import Client
-    from vlagents.connection import connect
+    from vlagents.remote import connect
     from vlagents.server import Server
 
 __version__ = "0.1.0"
@@ -53,11 +53,12 @@ __all__ = [
     "differences",
 ]
 
-_LAZY = {"Client": "client", "Server": "server", "connect": "connection"}
+_LAZY = {"Client": "client", "Server": "server", "connect": "remote"}
 """Modules of names that are imported when they are first used."""
 
 
 def __getattr__(name: str) -> Any:
     if name not in _LAZY:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        hint = "Use Server(policy), or the command `vlagents serve`. " if name == "serve" else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}. {hint}Public names: {', '.join(__all__)}")
     return getattr(importlib.import_module(f"{__name__}.{_LAZY[name]}"), name)

@@ -1,4 +1,4 @@
-"""The address of a server: `vla://host:port`, `vlas://` with TLS, `unix:///path`, `ws://host:port`, and others."""
+"""The address of a server: `vla://host:port`, `vlas://` with TLS, `ws://host:port`, and others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 from vlagents.errors import InvalidInput
 
-Scheme = Literal["vla", "vlas", "unix", "ws", "wss", "gr00t", "openvla+http"]
+Scheme = Literal["vla", "vlas", "ws", "wss", "gr00t", "openvla+http"]
 PORTS = {
     "vla": 8090, "vlas": 8090, "ws": 8000, "wss": 8000, "gr00t": 5555, "openvla+http": 8000,
 }  # fmt: skip
@@ -18,18 +18,14 @@ PORTS = {
 
 @dataclass(frozen=True)
 class Address:
-    """Where a server is."""
+    """The address of a server."""
 
     scheme: Scheme
-    host: str = ""
-    port: int = 0
-    path: str = ""
-    """Path of a Unix socket."""
+    host: str
+    port: int
 
     def __str__(self) -> str:
         """Return it as it is written."""
-        if self.scheme == "unix":
-            return f"unix://{self.path}"
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.scheme}://{host}:{self.port}"
 
@@ -41,12 +37,10 @@ def parse(text: str) -> Address:
         InvalidInput: The text is no address.
     """
     valid = (
-        "valid are vla://host:port, vlas://host:port (TLS), unix:///path, ws://host:port, wss://host:port, "
+        "valid are vla://host:port, vlas://host:port (TLS), ws://host:port, wss://host:port, "
         "gr00t://host:port and openvla+http://host:port"
     )
     parts = urlsplit(text)
-    if parts.scheme == "unix" and parts.path:
-        return Address("unix", path=parts.path)
     try:
         port = parts.port
     except ValueError as error:

@@ -45,13 +45,3 @@ class Chunk:
             raise InvalidInput(f"period is {self.period!r}; valid is a number of seconds above 0.")
         if not np.isfinite(self.time):
             raise InvalidInput(f"time is {self.time!r}; valid is a finite number of seconds.")
-
-    @property
-    def horizon(self) -> int:
-        """Number of rows."""
-        return len(self.actions)
-
-    @property
-    def end(self) -> float:
-        """End of the last row [s]."""
-        return self.time + self.horizon * self.period

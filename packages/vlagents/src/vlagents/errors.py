@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
 
@@ -19,9 +20,7 @@ class InvalidInput(VlagentsError, ValueError):
 
 
 class Mismatch(VlagentsError):
-    """What the robot offers is not what the policy needs."""
-
-    kind = "mismatch"
+    """The policy needs something that the robot does not offer."""
 
     def __init__(self, differences: Sequence[str]) -> None:
         """Say all differences, a line each."""
@@ -62,8 +61,6 @@ class PolicyFailed(VlagentsError):
 class AddressTaken(VlagentsError, OSError):
     """The address of a server is in use."""
 
-    kind = "taken"
-
     def __init__(self, host: str, port: int) -> None:
         """Name the address, and what to do."""
         shown = f"[{host}]" if ":" in host else host
@@ -73,34 +70,38 @@ class AddressTaken(VlagentsError, OSError):
 
 
 class MissingStack(VlagentsError, ImportError):
-    """A package that a policy or a wire needs is not installed in this environment."""
+    """A package that a policy needs is not installed in this environment."""
 
-    kind = "missing"
-
-    def __init__(self, policy: str, package: str, *, is_wire: bool = False) -> None:
-        """Name the package, and what installs it: of a policy, a recipe."""
-        remedy = f"`vlagents recipe {policy}` prints how to make an environment for it."
+    def __init__(self, policy: str, package: str) -> None:
+        """Name the package, and the recipe of an environment that has it."""
         super().__init__(
-            f"The {'wire' if is_wire else 'policy'} {policy!r} needs the package {package!r}, which is not installed "
-            f"here. {f'`pip install {package}` installs it.' if is_wire else remedy}"
+            f"The policy {policy!r} needs the package {package!r}, which is not installed here. "
+            f"`vlagents recipe {policy}` prints how to make an environment for it."
+        )
+
+
+class MissingSimulator(VlagentsError, ImportError):
+    """A simulator is not installed in this environment."""
+
+    def __init__(self, simulator: str, package: str) -> None:
+        """Name the package, and where it would be found."""
+        super().__init__(
+            f"The simulator {simulator!r} needs the package {package!r}, which is not installed in {sys.prefix}. "
+            "Serve it with the Python of an environment of its own; `make sims` makes them in build/interop."
         )
 
 
 def as_failure(error: BaseException) -> dict[str, object]:
     """Return an error as a wire carries it."""
-    if isinstance(error, Mismatch):
-        return {"kind": error.kind, "text": str(error), "differences": list(error.differences)}
-    if isinstance(error, VlagentsError):
-        return {"kind": error.kind, "text": str(error)}
-    return {"kind": PolicyFailed.kind, "text": f"{type(error).__name__}: {error}"}
+    is_ours = isinstance(error, VlagentsError)
+    text = str(error) if is_ours else f"{type(error).__name__}: {error}"
+    return {"kind": error.kind if is_ours else PolicyFailed.kind, "text": text}
 
 
 def from_failure(failure: object) -> VlagentsError:
     """Return the error that a wire carried; one of an unknown kind is a `PolicyFailed`."""
     fields = failure if isinstance(failure, dict) else {}
     kind, text = fields.get("kind"), str(fields.get("text", "no reason was given"))[:10_000]
-    if kind == Mismatch.kind and isinstance(fields.get("differences"), list):
-        return Mismatch([str(line) for line in fields["differences"]])
     for known in (InvalidInput, BadMessage, ConnectionLost, DeadlineExceeded, Unauthorized):
         if kind == known.kind:
             return known(text)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vlagents.errors import InvalidInput, MissingStack
+from vlagents.errors import InvalidInput
 
 LARGEST = 64_000_000
 """Most pixels of a picture that is decompressed: a few bytes must not become gigabytes."""
@@ -31,38 +31,21 @@ class Jpeg:
             raise InvalidInput(f"A Jpeg begins with the bytes ff d8; this one has {bytes(self.data[:2]).hex(' ')!r}.")
 
     def decode(self) -> NDArray[np.uint8]:
-        """Return the picture as RGB, uint8, (height, width, 3), by simplejpeg or Pillow, whichever is installed.
+        """Return the picture as RGB, uint8, (height, width, 3).
 
         Raises:
-            InvalidInput: It is damaged, or larger than 64 million pixels.
-            MissingStack: Neither package is installed.
+            InvalidInput: It is damaged, or larger than 64 million pixels, or Pillow is not installed.
         """
-        try:
-            decoder = importlib.import_module("simplejpeg")
-        except ImportError:
-            return self._decode_by_pillow()
-        try:
-            height, width, *_ = decoder.decode_jpeg_header(self.data)
-            _check_size(height, width)
-            return decoder.decode_jpeg(self.data, colorspace="RGB")
-        except ValueError as error:
-            raise InvalidInput(f"A Jpeg of {len(self.data)} bytes cannot be decoded: {error}.") from error
-
-    def _decode_by_pillow(self) -> NDArray[np.uint8]:
         try:
             pillow = importlib.import_module("PIL.Image")
         except ImportError:
-            raise MissingStack("jpeg", "simplejpeg") from None
+            raise InvalidInput("Pillow, which decodes a Jpeg, is not installed; `pip install pillow`.") from None
         try:
             picture = pillow.open(io.BytesIO(self.data), formats=("JPEG",))
-            _check_size(picture.height, picture.width)
-            return np.asarray(picture.convert("RGB"))
-        except InvalidInput:
-            raise
+            size = f"{picture.height} x {picture.width} pixels"
+            array = None if picture.height * picture.width > LARGEST else np.asarray(picture.convert("RGB"))
         except Exception as error:
             raise InvalidInput(f"A Jpeg of {len(self.data)} bytes cannot be decoded: {error}.") from error
-
-
-def _check_size(height: int, width: int) -> None:
-    if height * width > LARGEST:
-        raise InvalidInput(f"A Jpeg has {height} x {width} pixels; valid are up to {LARGEST}.")
+        if array is None:
+            raise InvalidInput(f"A Jpeg has {size}; valid are up to {LARGEST}.")
+        return array

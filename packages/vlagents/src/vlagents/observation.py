@@ -32,12 +32,6 @@ class Observation:
     """Time of the observation by the robot's clock [s]. A chunk's actions count from it."""
     session: str = ""
     """Name of the robot or copy. A policy keeps its memory of each session apart."""
-    previous: NDArray[np.float64] | None = None
-    """Actions that are already planned from the time of this observation on, (rows, size), in rows as of a chunk. For
-    policies whose metadata say `continues` (real-time chunking, Black et al. 2025, arXiv:2506.07339); a chunk that
-    continues them has `continues` 1 in its info. openpi's websocket does not carry them."""
-    frozen: int = 0
-    """Rows of `previous` that will be executed before the answer arrives: the answer must begin with these."""
 
     def __post_init__(self) -> None:
         """Check types and shapes, so that a mistake is found where it is made.
@@ -56,15 +50,6 @@ class Observation:
                 )
             if not np.isfinite(array).all():
                 raise InvalidInput(f"state[{name!r}] has a value that is not finite: {array}.")
-        if self.previous is not None:
-            previous = np.asarray(self.previous)
-            if previous.dtype.kind not in "fiu" or previous.ndim != 2 or not np.isfinite(previous).all():
-                raise InvalidInput(
-                    f"previous is {previous.dtype} of shape {previous.shape}; valid are finite numbers (rows, size)."
-                )
-        rows = 0 if self.previous is None else len(self.previous)
-        if not isinstance(self.frozen, int) or isinstance(self.frozen, bool) or not 0 <= self.frozen <= rows:
-            raise InvalidInput(f"frozen is {self.frozen!r}; valid is a whole number from 0 to {rows}.")
         if not np.isfinite(self.time):
             raise InvalidInput(f"time is {self.time!r}; valid is a finite number of seconds.")
         for name in ("instruction", "session"):
@@ -93,5 +78,5 @@ def _check_image(name: str, image: object) -> None:
     if isinstance(image, Jpeg):
         return
     if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
-        came = f"{image.dtype} of shape {image.shape}" if isinstance(image, np.ndarray) else repr(type(image).__name__)
-        raise InvalidInput(f"{name} is {came}; valid is uint8 of shape (height, width, 3), or a Jpeg.")
+        given = f"{image.dtype} of shape {image.shape}" if isinstance(image, np.ndarray) else repr(type(image).__name__)
+        raise InvalidInput(f"{name} is {given}; valid is uint8 of shape (height, width, 3), or a Jpeg.")

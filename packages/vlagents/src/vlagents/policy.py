@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
+from typing import Any
 
 from vlagents.chunk import Chunk
 from vlagents.metadata import Metadata
@@ -22,6 +23,9 @@ class Policy(ABC):
         >>> policy.infer(Observation(session="left arm")).actions.shape
         (1, 7)
     """
+
+    calls: Mapping[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {}
+    """More calls that a server of vlagents answers with it, by name: functions of plain values and arrays."""
 
     @abstractmethod
     def metadata(self) -> Metadata:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from vlagents.chunk import Chunk
-from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Mismatch, Unauthorized, VlagentsError
-from vlagents.metadata import Metadata, differences
+from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Unauthorized, VlagentsError
+from vlagents.metadata import Metadata
 from vlagents.observation import Observation
 from vlagents.policy import Policy
 from vlagents.record import read
@@ -25,9 +25,9 @@ _log = logging.getLogger(__name__)
 MOST_SESSIONS = 256
 """Sessions of one connection."""
 LONGEST_WAIT = 60.0
-"""How long a call waits for the policy at most, if the client does not say [s]."""
+"""Longest wait of a call for the policy, if the client names none [s]."""
 LEAVING = 1.0
-"""How long the end of a server waits for calls in progress [s]."""
+"""Longest wait for calls in progress when a server ends [s]."""
 
 
 @dataclass(eq=False)
@@ -35,11 +35,11 @@ class Caller:
     """One connection, as the service knows it."""
 
     name: str
-    """Where it connects from, for the log."""
-    number: int
+    """Its own address, for the log."""
     is_known: bool = False
-    """Whether it has sent the right token."""
-    sessions: set[str] = field(default_factory=set)
+    """True once it has sent the right token."""
+    number: int = field(default_factory=itertools.count().__next__, init=False)
+    sessions: set[str] = field(default_factory=set, init=False)
 
 
 @dataclass(eq=False)
@@ -48,7 +48,7 @@ class _Waiting:
 
     observation: Observation
     begun: float = 0.0
-    """When the policy began with it [s]; 0 before."""
+    """Time at which the policy began with it [s]; 0 before."""
     answer: object = None
     error: Exception | None = None
 
@@ -76,20 +76,20 @@ class Service:
         self._policy = policy
         self._token = token
         self.metadata: Metadata = policy.metadata()
-        """What the policy needs and gives."""
+        """The needs and the answers of the policy."""
         self._is_batched = type(policy).infer_batch is not Policy.infer_batch
         self._turn = threading.Lock()
         self._waiting: dict[_Waiting, None] = {}
-        self._numbers = itertools.count()
         self._started = time.monotonic()
         self._answered = 0
         self._is_closed = False
         self.is_stuck = False
-        """Whether the policy was still in a call when this was closed."""
+        """True if the policy was still in a call when this was closed."""
 
-    def caller(self, name: str) -> Caller:
-        """Return a new caller, which is not known yet."""
-        return Caller(name=name, number=next(self._numbers))
+    @property
+    def has_token(self) -> bool:
+        """True if callers must know a token."""
+        return self._token is not None
 
     def admit(self, caller: Caller, token: object) -> None:
         """Admit a caller that knows the token.
@@ -150,7 +150,7 @@ class Service:
         try:
             self._in_turn(lambda: self._answer_waiting(asked), within)
         finally:
-            self._waiting.pop(asked, None)  # if its turn did not come in time
+            self._waiting.pop(asked, None)  # if it has waited too long
         waiting, working = asked.begun - begin, time.perf_counter() - asked.begun
         if asked.error is not None:
             try:
@@ -221,18 +221,17 @@ class Service:
         if call.call == "forget":
             self.forget(caller, call.session)
             return {}
-        if call.call == "metadata":
-            return {"metadata": self.metadata.to_dict()}
         if call.call == "ping":
             return {"health": self.health()}
-        raise InvalidInput(f"There is no call {call.call!r:.80}; valid: hello, metadata, reset, infer, forget, ping.")
+        if call.call in self._policy.calls:
+            return self._in_turn(lambda: self._policy.calls[call.call](values), call.within)
+        known = ", ".join(["hello", "reset", "infer", "forget", "ping", *self._policy.calls])
+        raise InvalidInput(f"There is no call {call.call!r:.80}; valid: {known}.")
 
     def _hello(self, caller: Caller, call: Call) -> dict[str, Any]:
         if call.version != VERSION:
             raise BadMessage(f"The other side speaks version {call.version!r:.40}; this server speaks {VERSION}.")
         self.admit(caller, call.token)
-        if call.offer is not None and (found := differences(self.metadata, call.offer)):
-            raise Mismatch(found)
         return {"metadata": self.metadata.to_dict(), "health": self.health()}
 
     def _own(self, caller: Caller, session: str) -> str:

@@ -10,67 +10,39 @@ import ssl
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, TypeVar
 
-from vlagents.address import Address, Scheme, is_loopback
+from vlagents.address import PORTS, Address, Scheme, is_loopback
 from vlagents.errors import AddressTaken, ConnectionLost, InvalidInput, VlagentsError
 from vlagents.policy import Policy
-from vlagents.service import LEAVING, Service
+from vlagents.service import LEAVING, Caller, Service
+from vlagents.wire.link import Channel, Deadline
+from vlagents.wire.stream import LARGEST_BODY
 
 _log = logging.getLogger(__name__)
 S = TypeVar("S", bound="WireServer")
 
 BEGIN = 5.0
-"""How long a new connection may take to identify itself [s]."""
+"""Longest time until a new connection identifies itself [s]."""
 TRANSFER = 10.0
-"""How long a message may take to arrive once it began, and an answer to be read [s]."""
+"""Longest duration of a message from its first byte, and of the reading of an answer [s]."""
 MOST_CALLERS = 64
 """Connections at a time."""
 STRANGER = 64 << 10
 """Most bytes of arrays in a message of an unidentified client."""
 
 
-class Channel(Protocol):
-    """A connection's messages, which another thread can end."""
+@dataclass(eq=False, kw_only=True)
+class Guest(Caller):
+    """A client that has connected. When there are too many, the oldest that is not known gives way."""
 
-    def stop(self) -> None:
-        """End the connection; the thread that reads or writes notices."""
-        ...
-
-    def close(self) -> None:
-        """Close the connection; only for the thread that reads and writes."""
-        ...
-
-
-@dataclass(eq=False)
-class Guest:
-    """A client that has connected."""
-
-    name: str
-    """Where it connects from, for the log."""
     connection: socket.socket
-    is_known: bool = False
-    """Whether it has identified itself. When there are too many clients, the oldest unknown one gives way."""
     channel: Channel | None = None
-    """What carries its messages, while it is being answered."""
-
-    def secure(self, context: ssl.SSLContext | None) -> None:
-        """Encrypt the connection, if there is a context.
-
-        Raises:
-            OSError: The other side has no TLS, or takes too long.
-        """
-        if context is None:
-            return
-        self.connection.settimeout(BEGIN)
-        # The handshake follows the replacement of the connection, so that `stop` ends it, too.
-        encrypted = context.wrap_socket(self.connection, server_side=True, do_handshake_on_connect=False)
-        self.connection = encrypted
-        encrypted.do_handshake()
+    """The messages of the connection, while it is being answered."""
 
     def stop(self) -> None:
         """End the connection; the thread that reads or writes notices."""
@@ -92,22 +64,25 @@ class WireServer(ABC):
         policy: Policy,
         *,
         host: str = "127.0.0.1",
-        port: int,
+        port: int | None = None,
         token: str | None = None,
         certificate: str | Path | None = None,
         key: str | Path | None = None,
         transfer: float = TRANSFER,
+        largest: int = LARGEST_BODY,
     ) -> None:
         """Prepare; `start` or a `with` block opens the sockets.
 
         Args:
             policy: The policy to serve; it is closed with the server.
             host: Where to listen. Anything but this machine itself needs a token.
-            port: TCP port; 0 for any that is free.
-            token: The secret that clients must know; None for none.
+            port: TCP port; 0 for any that is free, None for the wire's own.
+            token: The secret that clients must know; None for none. openpi's clients send it as `Authorization: Api-Key
+                TOKEN`, OpenVLA's as `Authorization: Bearer TOKEN`, GR00T's as `api_token`.
             certificate: File with a certificate, for TLS.
             key: File with its key.
             transfer: How long a message may take to arrive once it began, and an answer to be read [s].
+            largest: Most bytes of a message.
 
         Raises:
             InvalidInput: The address is open to others and there is no token, or TLS is incomplete.
@@ -127,7 +102,8 @@ class WireServer(ABC):
             self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
             self._tls.load_cert_chain(certificate, key)
         self.service = Service(policy, token=token)
-        self._host, self._port, self._transfer = host, port, transfer
+        self._host, self._port = host, PORTS[self.schemes[0]] if port is None else port
+        self._transfer, self._largest = transfer, largest
         self._listeners: list[socket.socket] = []
         self._threads: list[threading.Thread] = []
         self._guests: dict[Guest, None] = {}
@@ -136,7 +112,7 @@ class WireServer(ABC):
 
     @property
     def address(self) -> Address:
-        """Where the server listens."""
+        """The address at which the server listens."""
         scheme = self.schemes[0] if self._tls is None else self.schemes[1]
         assert scheme is not None
         return Address(scheme, host=self._host, port=self._port)
@@ -146,11 +122,6 @@ class WireServer(ABC):
         """The channels of all connections that are being answered."""
         with self._lock:
             return [guest.channel for guest in self._guests if guest.channel is not None]
-
-    @property
-    def clients(self) -> int:
-        """How many clients are connected."""
-        return len(self.channels)
 
     def start(self: S) -> S:
         """Listen, and answer in threads of its own.
@@ -167,7 +138,8 @@ class WireServer(ABC):
                 raise
             raise AddressTaken(self._host, self._port) from error
         self._port = listener.getsockname()[1]
-        self._listen(listener, self._converse)
+        self._start_more()
+        self._listen(listener, self._open)
         return self
 
     def serve_forever(self) -> None:
@@ -205,29 +177,23 @@ class WireServer(ABC):
         self.close()
 
     @abstractmethod
-    def _converse(self, guest: Guest) -> None:
-        """Answer a client until it leaves, and mark it as known; its connection is closed afterwards."""
+    def _open(self, guest: Guest) -> Channel | None:
+        """Return the messages of a new connection; None if it is over already."""
 
-    @contextlib.contextmanager
-    def _conversation(self, guest: Guest, channel: Channel) -> Generator[None]:
-        """Let `close` end a conversation, log an error that ends it, and close its channel."""
-        guest.channel = channel
-        try:
-            if self._is_closing.is_set():
-                channel.stop()
-            yield
-        except ConnectionLost:
-            pass
-        except VlagentsError as error:
-            if not self._is_closing.is_set():
-                _log.warning("The connection of %s was ended: %s", guest.name, error)
-        finally:
-            guest.channel = None
-            channel.close()
+    def _answer_one(self, guest: Guest, channel: Any) -> None:
+        """Receive a message and answer it, and mark the guest as known once it has the token."""
+        raise NotImplementedError
 
-    def _listen(self, listener: socket.socket, converse: Callable[[Guest], None]) -> None:
+    def _start_more(self) -> None:  # noqa: B027  most wires have nothing more
+        """Start whatever a wire has beside its port."""
+
+    def _rest(self) -> Deadline:
+        """Return by when a message that begins now must have arrived, or an answer been read."""
+        return Deadline(self._transfer, "the rest of a message")
+
+    def _listen(self, listener: socket.socket, open_channel: Callable[[Guest], Channel | None]) -> None:
         self._listeners.append(listener)
-        self._run(f"vlagents accept {listener.getsockname()}", self._accept, listener, converse)
+        self._run(f"vlagents accept {listener.getsockname()}", self._accept, listener, open_channel)
 
     def _run(self, name: str, act: Callable[..., None], *arguments: Any) -> None:
         """Run a function in a thread of its own, which `close` waits for."""
@@ -237,7 +203,7 @@ class WireServer(ABC):
             self._threads.append(thread)
         thread.start()
 
-    def _accept(self, listener: socket.socket, converse: Callable[[Guest], None]) -> None:
+    def _accept(self, listener: socket.socket, open_channel: Callable[[Guest], Channel | None]) -> None:
         while not self._is_closing.is_set():
             try:
                 connection, peer = listener.accept()
@@ -245,12 +211,13 @@ class WireServer(ABC):
                 if self._is_closing.wait(0.05):  # out of files: other connections may end soon
                     return
                 continue
-            guest = Guest(f"{peer[0]}:{peer[1]}" if isinstance(peer, tuple) else "this machine", connection)
+            name = f"{peer[0]}:{peer[1]}" if isinstance(peer, tuple) else "this machine"
+            guest = Guest(name=name, connection=connection)
             if not self._seat(guest):
                 _log.warning("%s was refused: there are %d connections already", guest.name, MOST_CALLERS)
                 connection.close()
                 continue
-            self._run(f"vlagents with {guest.name}", self._answer_guest, guest, converse)
+            self._run(f"vlagents with {guest.name}", self._answer_guest, guest, open_channel)
 
     def _seat(self, guest: Guest) -> bool:
         """Return whether there is room for a client, if need be because an unknown one has to go."""
@@ -265,10 +232,38 @@ class WireServer(ABC):
             self._guests[guest] = None
             return True
 
-    def _answer_guest(self, guest: Guest, converse: Callable[[Guest], None]) -> None:
+    def _answer_guest(self, guest: Guest, open_channel: Callable[[Guest], Channel | None]) -> None:
         try:
-            converse(guest)
+            if self._tls is not None:
+                guest.connection.settimeout(BEGIN)
+                # The handshake follows the replacement of the connection, so that `stop` ends it, too.
+                encrypted = self._tls.wrap_socket(guest.connection, server_side=True, do_handshake_on_connect=False)
+                guest.connection = encrypted
+                encrypted.do_handshake()
+            channel = open_channel(guest)
+            if channel is not None:
+                self._converse(guest, channel)
+        except (OSError, ValueError, VlagentsError) as error:
+            _log.warning("%s was refused: %s", guest.name, error)
         finally:
             with self._lock:
                 self._guests.pop(guest, None)
             guest.connection.close()
+
+    def _converse(self, guest: Guest, channel: Channel) -> None:
+        """Answer a guest until it leaves or breaks a rule, and have the policy forget its sessions."""
+        guest.channel = channel
+        try:
+            if self._is_closing.is_set():
+                channel.stop()
+            while not self._is_closing.is_set():
+                self._answer_one(guest, channel)
+        except ConnectionLost:
+            pass
+        except VlagentsError as error:
+            if not self._is_closing.is_set():
+                _log.warning("The connection of %s was ended: %s", guest.name, error)
+        finally:
+            guest.channel = None
+            channel.close()
+            self.service.forget(guest)

@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 import urllib.request
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from vlagents import (
     Chunk,
     ConnectionLost,
     DeadlineExceeded,
+    ImageSpec,
     InvalidInput,
     Metadata,
     Observation,
@@ -85,18 +87,24 @@ def test_a_late_answer_is_an_error_and_not_that_of_the_next_call(kind: str) -> N
         with pytest.raises(DeadlineExceeded):
             client.infer(Observation(OBSERVATION.images, {}, "slow"))
         time.sleep(1.0)
+        if kind == "gr00t":  # its answers have no number: one that is late cannot be distinguished from the next
+            with pytest.raises(ConnectionLost, match="`reset` connects again"):
+                client.infer(OBSERVATION)
+            client.reset()
         assert client.infer(OBSERVATION).actions[0, 2] == 4.0
 
 
 def test_silence_is_late_and_nobody_is_an_error(kind: str) -> None:
     scheme = "gr00t" if kind == "gr00t" else "openvla+http"
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        client = connect(f"{scheme}://127.0.0.1:{silent.getsockname()[1]}", period=0.1, timeout=0.3)
-        with client, pytest.raises(DeadlineExceeded):
+
+    def call(port: int) -> None:
+        with connect(f"{scheme}://127.0.0.1:{port}", period=0.1, timeout=0.3) as client:
             client.infer(OBSERVATION)
-    client = connect(f"{scheme}://127.0.0.1:1", period=0.1, timeout=0.3)
-    with client, pytest.raises((ConnectionLost, DeadlineExceeded)):
-        client.infer(OBSERVATION)
+
+    with socket.create_server(("127.0.0.1", 0)) as silent, pytest.raises(DeadlineExceeded):
+        call(silent.getsockname()[1])
+    with pytest.raises((ConnectionLost, DeadlineExceeded)):
+        call(1)
 
 
 def test_without_the_token_nobody_gets_in(kind: str) -> None:
@@ -114,8 +122,8 @@ def test_without_the_token_nobody_gets_in(kind: str) -> None:
 def test_a_client_needs_a_period_and_actions_of_the_size_that_it_knows(kind: str) -> None:
     wide = Metadata(name="wide", action=(PartSpec("arm", 9),), rate=10.0)
     with serve(kind) as server:
-        with pytest.raises(InvalidInput, match="period"):
-            connect(str(server.address))
+        with connect(str(server.address)) as client, pytest.raises(InvalidInput, match="give `period`"):
+            client.infer(OBSERVATION)
         with connect(str(server.address), metadata=wide) as client, pytest.raises(BadMessage):
             client.infer(OBSERVATION)
 
@@ -164,6 +172,19 @@ def test_openvlas_layout_is_as_upstream_writes_it() -> None:
         assert np.frombuffer(base64.b64decode(plain["__numpy__"])).tolist()[2] == 4.0
         assert json.loads(post({"encoded": json.dumps(request)})) == plain
         assert post({"image": image}) == "error"
+
+
+def test_the_image_of_a_request_has_the_name_that_the_policy_knows() -> None:
+    class Seeing(Echo):
+        def metadata(self) -> Metadata:
+            return replace(METADATA, images=(ImageSpec("wrist"),))
+
+        def infer(self, observation: Observation) -> Chunk:
+            return Chunk(np.full((1, 3), observation.image("wrist").mean()), 0.1)
+
+    with OpenvlaServer(Seeing(), port=0) as server, connect(str(server.address), metadata=METADATA) as client:
+        image = np.full((4, 4, 3), 7, np.uint8)
+        assert client.infer(Observation({"any": image}, {}, "pick")).actions.tolist() == [[7.0] * 3]
 
 
 def test_files_of_objects_are_refused_and_never_loaded(tmp_path: Path) -> None:
@@ -230,3 +251,19 @@ def test_garbage_of_an_openvla_server_is_a_typed_error(answer: bytes) -> None:
         with client, pytest.raises((BadMessage, ConnectionLost, PolicyFailed)):
             client.infer(OBSERVATION)
         thread.join()
+
+
+@pytest.mark.parametrize("request_", [b"[]", b"{}", b'{"instruction": 3}'])
+def test_a_request_of_openvla_without_an_instruction_is_refused_in_words(
+    request_: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    with OpenvlaServer(Echo(), port=0) as server:
+        call = urllib.request.Request(f"http://127.0.0.1:{server.address.port}/act", request_)
+        with urllib.request.urlopen(call, timeout=5.0) as answer:
+            assert answer.read() == b'"error"'
+    assert "A request has no instruction." in caplog.text
+
+
+def test_a_server_without_a_port_takes_that_of_its_wire() -> None:
+    assert [kind(Echo()).address.port for kind in (GrootServer, OpenvlaServer)] == [5555, 8000]
+    assert OpenvlaServer(Echo(), port=8123).address.port == 8123

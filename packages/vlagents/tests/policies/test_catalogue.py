@@ -8,8 +8,9 @@ from vlagents import InvalidInput
 from vlagents.cli.main import main
 from vlagents.errors import MissingStack
 from vlagents.policies import catalogue
+from vlagents.policies.random import RandomPolicy
 
-STACKLESS = {"random", "replay", "scripted"}
+STACKLESS = {"random", "replay"}
 """Policies that need nothing but this package."""
 
 
@@ -48,3 +49,16 @@ def test_a_missing_stack_names_the_recipe(family: str, package: str) -> None:
     error = MissingStack(family, package)
     assert f"`vlagents recipe {family}`" in str(error)
     assert repr(package) in str(error)
+
+
+@pytest.mark.parametrize(("name", "family"), [("act", "act"), ("smolvla", "smolvla"), ("lerobot", "")])
+def test_a_family_of_lerobots_is_checked_by_its_name(monkeypatch: pytest.MonkeyPatch, name: str, family: str) -> None:
+    class Named(RandomPolicy):
+        def __init__(self, checkpoint: str, *, family: str = "") -> None:
+            super().__init__()
+            self.made = (checkpoint, family)
+
+    monkeypatch.setattr(catalogue, "_found", lambda place: Named)
+    made = catalogue.load(name, "runs/a")
+    assert isinstance(made, Named)
+    assert made.made == ("runs/a", family)

@@ -10,7 +10,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
-from vlagents import Client, ConnectionLost, InvalidInput, Observation, Server
+from vlagents import Client, ConnectionLost, InvalidInput, Observation, PartSpec, Server
 from vlagents.errors import MissingStack
 from vlagents.policies.openpi import DROID_STEP, OpenpiPolicy
 from vlagents.policies.settings import Settings
@@ -106,7 +106,10 @@ def test_pi0_droid_is_asked_with_its_keys_and_answers_in_the_robots_units() -> N
 
 def test_pi0_libero_is_asked_with_its_keys() -> None:
     settings = Settings(
-        images={"observation/image": "side", "observation/wrist_image": "wrist"}, options={"layout": "libero"}
+        images={"observation/image": "side", "observation/wrist_image": "wrist"},
+        state=(PartSpec("xyz_rotation_vector", 6, "m, rad"), PartSpec("fingers", 2, "m")),
+        action=(PartSpec("osc_pose", 6, "-1 to 1", "delta"), PartSpec("closing", 1, "-1 open, 1 closed")),
+        rate=20.0,
     )
     with stock_server(pi0_libero) as (address, _), OpenpiPolicy(address, settings) as policy:
         images = {"side": np.full((224, 224, 3), 9, np.uint8), "wrist": np.full((224, 224, 3), 3, np.uint8)}
@@ -159,7 +162,7 @@ def test_what_does_not_fit_is_said_before_a_robot_waits() -> None:
             OpenpiPolicy(address, wrong)
         with pytest.raises(InvalidInput, match="must have images, state, action and rate"):
             OpenpiPolicy(address, Settings())
-        with pytest.raises(InvalidInput, match="droid, libero, own"):
+        with pytest.raises(InvalidInput, match="droid, own"):
             OpenpiPolicy(address, Settings(options={"layout": "aloha"}))
         # The server wants LIBERO's keys: it says so and closes, as openpi's does.
         with pytest.raises(Exception, match="KeyError"):

@@ -39,7 +39,7 @@ def test_settings_are_read_from_the_checkpoint_or_another_file(tmp_path: Path) -
     ("given", "said"),
     [
         ([], "list"),
-        ({"data_set": "x"}, "dataset, images, state"),
+        ({"data_set": "x"}, "dataset, data_hash, images, state"),
         ({"dataset": 1}, "dataset.*Expected `str`, got `int`"),
         ({"images": ["side"]}, "images.*Expected `object`, got `array`"),
         ({"images": {"image": 3}}, "images.*Expected `str`, got `int`"),

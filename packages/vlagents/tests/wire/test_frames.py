@@ -130,10 +130,11 @@ def test_what_the_rfc_does_not_allow_is_refused(raw: Any, data: bytes, reason: s
     assert left.recv(100)[0] == 0x80 | Opcode.CLOSE
 
 
-def test_the_end_is_told_and_answered(channels: Any) -> None:
+@pytest.mark.parametrize(("code", "reason", "told"), [(1000, "done", r"\(1000: done\)"), (1001, "", r"\(1001\)")])
+def test_the_end_is_told_and_answered(channels: Any, code: int, reason: str, told: str) -> None:
     asks, answers = channels
-    asks.close(1000, "done")
-    with pytest.raises(ConnectionLost, match="1000: done"):
+    asks.close(code, reason)
+    with pytest.raises(ConnectionLost, match=told):
         answers.receive(soon())
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -7,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import msgpack
-from vlagents.errors import BadMessage
+from vlagents.errors import BadMessage, InvalidInput
 from vlagents.wire.bulk import LARGE
-from vlagents.wire.openpi import pack, pack_parts, unpack
+from vlagents.wire.openpi import observation_from_flat, pack, pack_parts, unpack
 from vlagents.wire.stream import LARGEST_HEADER
 
 PLAIN = (
@@ -78,3 +79,29 @@ def test_a_large_array_of_objects_is_refused(change: bytes) -> None:
         unpack(data.replace(b"\xcc\xa0", b"\xcc\xa1"))
     with pytest.raises(BadMessage):
         unpack(data[:-1])
+
+
+@pytest.mark.parametrize("number", [np.float32(1.5), np.int8(-3), np.bool_(True), np.uint64(2**63)])
+def test_numbers_of_numpy_come_as_they_were(number: np.generic) -> None:
+    (came,) = unpack(pack([number]))
+    assert (type(came), came) == (type(number), number)
+
+
+@pytest.mark.parametrize(("dtype", "value"), [(b"|O", 1), ("|O", 1), ("<f8", "x"), ("|u1", 300), ("|i1", 1e400)])
+def test_numbers_that_are_none_are_refused(dtype: Any, value: Any) -> None:
+    with pytest.raises(BadMessage):
+        unpack(msgpack.encode({b"__npgeneric__": True, b"data": value, b"dtype": dtype}))
+
+
+@pytest.mark.parametrize(("shape", "seen"), [((3, 4, 5), (4, 5, 3)), ((4, 5, 3), (4, 5, 3)), ((3, 5, 3), (3, 5, 3))])
+def test_images_with_the_channels_first_are_transposed(shape: tuple[int, ...], seen: tuple[int, ...]) -> None:
+    image = np.arange(math.prod(shape), dtype=np.uint8).reshape(shape)
+    found = observation_from_flat({"eye": {"left": image}, "joints": 1.0, "prompt": "pick"}, "a", 2.0)
+    assert found.images["eye/left"].shape == seen  # type: ignore[union-attr]
+    assert (found.state["joints"].tolist(), found.instruction, found.session, found.time) == ([1.0], "pick", "a", 2.0)
+
+
+@pytest.mark.parametrize("given", [5, {"a": "text"}, {3: 1.0}, {"a": np.zeros((2, 2))}, {"a": np.zeros((2, 2, 3, 1))}])
+def test_what_is_no_observation_of_openpi_is_refused(given: Any) -> None:
+    with pytest.raises(InvalidInput):
+        observation_from_flat(given)

@@ -1,16 +1,20 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from vlagents import BadMessage, ConnectionLost
+from vlagents import BadMessage, Client, ConnectionLost, Observation, Server
+from vlagents.policies.random import RandomPolicy
 from vlagents.wire.link import Deadline
-from vlagents.wire.shared import HEAD, MAGIC, PLACE, SharedChannel, is_supported
+from vlagents.wire.shared import HEAD, MAGIC, PLACE, SharedChannel, is_supported, name_beside
 from vlagents.wire.stream import PREFIX
 
 pytestmark = pytest.mark.skipif(not is_supported(), reason="needs memory without a name, which this system has not")
@@ -185,3 +189,44 @@ def test_a_channel_that_another_thread_stops_is_closed_by_the_one_that_uses_it(c
     with pytest.raises(ConnectionLost):
         left.receive(soon())
     assert len(os.listdir("/proc/self/fd")) < files
+
+
+SERVE = """
+import sys
+from vlagents import Server
+from vlagents.policies.random import RandomPolicy
+with Server(RandomPolicy(), port=int(sys.argv[1])) as server:
+    print(server.address, flush=True)
+    server.serve_forever()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_killed_server_leaves_nothing_in_the_way_of_the_next(number: signal.Signals) -> None:
+    port = "0"
+    for _ in range(2):
+        with subprocess.Popen([sys.executable, "-c", SERVE, port], stdout=subprocess.PIPE, text=True) as served:
+            assert served.stdout is not None
+            address = served.stdout.readline().strip()
+            with Client(address, is_shared=True) as client:
+                client.infer(Observation())
+            served.send_signal(number)
+        port = address.rpartition(":")[2]
+
+
+def test_a_socket_whose_name_is_taken_leaves_tcp(caplog: pytest.LogCaptureFixture) -> None:
+    with Server(RandomPolicy(), port=0) as server, socket.socket(socket.AF_UNIX) as taken:
+        address = server.address
+        server.close()
+        taken.bind(name_beside(address))
+        with Server(RandomPolicy(), port=address.port), Client(str(address)) as client:
+            assert not client.is_shared
+            client.infer(Observation())
+            with pytest.raises(ConnectionLost, match="no server on this machine"):
+                Client(str(address), is_shared=True)
+        assert "no shared memory" in caplog.text
+
+
+def test_localhost_is_the_same_machine() -> None:
+    with Server(RandomPolicy(), port=0) as server, Client(f"vla://localhost:{server.address.port}") as client:
+        assert client.is_shared

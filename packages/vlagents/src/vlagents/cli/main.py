@@ -1,4 +1,4 @@
-"""Serve a policy, say how to make its environment, ask how a server is, and measure the way there and back."""
+"""Serve a policy or a simulator, say how to make its environment, ask how a server is, and measure a call."""
 
 from __future__ import annotations
 
@@ -18,19 +18,21 @@ from typing import Any
 import numpy as np
 
 from vlagents import __version__
-from vlagents.connection import connect
 from vlagents.errors import InvalidInput, VlagentsError
 from vlagents.observation import Observation
 from vlagents.policies import catalogue
 from vlagents.policy import Policy
+from vlagents.remote import connect
+from vlagents.simulators import served
 
 TOKEN = "VLAGENTS_TOKEN"
 """Environment variable with the token: words of a command can be read by everybody on the machine."""
 SERVERS = {
     "vla": "vlagents.server:Server",
-    "ws": "vlagents.websocket.server:WebsocketServer",
+    "ws": "vlagents.websocket:WebsocketServer",
     "gr00t": "vlagents.other_wires.groot:GrootServer",
     "openvla": "vlagents.other_wires.openvla:OpenvlaServer",
+    "vla-eval": "vlagents.other_wires.vla_eval:VlaEvalServer",
 }
 """The class of each wire; a module is imported when it is used."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -41,7 +43,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status."""
     parser = _parser()
     given, more = parser.parse_known_args(words)
-    if more and given.act is not _serve:
+    if more and given.act not in (_serve, _simulate):
         parser.error(f"unrecognized arguments: {' '.join(more)}")
     given.more = more
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
@@ -60,12 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     token = f"a file with the token; without it, the environment variable {TOKEN} holds it"
 
-    serve = verbs.add_parser(
-        "serve",
-        help="serve a policy until Ctrl-C",
-        allow_abbrev=False,
-        epilog="Other options, such as --horizon 16, are arguments of the policy: JSON, or text.",
-    )
+    serve = _add_server(verbs, "serve", "policy", token)
     serve.add_argument(
         "policy", help=f"its name: {', '.join(catalogue.names())}; or module:Class, also of the current folder"
     )
@@ -73,39 +70,54 @@ def _parser() -> argparse.ArgumentParser:
     serve.add_argument(
         "--settings", default="", help="file that says how the checkpoint's inputs are called; see the README"
     )
-    serve.add_argument("--host", default="127.0.0.1", help="anything but this machine itself needs a token")
-    serve.add_argument("--port", type=int, default=None, help="of TCP; by default the wire's own")
-    wire = serve.add_mutually_exclusive_group()
-    wire.add_argument("--ws", action="store_true", help="openpi's websocket in place of TCP and shared memory")
-    wire.add_argument(
+    serve.add_argument(
         "--wire",
-        choices=("vla", "gr00t", "openvla"),
+        choices=tuple(SERVERS),
         default="vla",
-        help="GR00T's ZeroMQ (extra gr00t), or OpenVLA's POST /act",
+        help="TCP and shared memory, openpi's websocket, GR00T's ZeroMQ, OpenVLA's POST /act, or vla-eval's websocket",
     )
-    serve.add_argument("--token-file", type=Path, help=token)
-    serve.add_argument("--certificate", type=Path, help="file with a certificate, for TLS")
-    serve.add_argument("--key", type=Path, help="file with its key")
     serve.set_defaults(act=_serve)
+
+    simulate = _add_server(verbs, "simulate", "simulator", token)
+    simulate.add_argument(
+        "simulator", help=f"{', '.join(f'{name}:TASK' for name in served.BUILT_IN)}; or module:Class:task"
+    )
+    simulate.set_defaults(act=_simulate)
 
     recipe = verbs.add_parser("recipe", help="print the script that makes an environment for a family of policies")
     recipe.add_argument("family", help=f"its name: {', '.join(catalogue.recipes())}")
     recipe.set_defaults(act=_recipe)
 
     ping = verbs.add_parser("ping", help="say how a server is, and what its policy needs and gives")
-    _add_server(ping, token)
+    _add_address(ping, token)
     ping.set_defaults(act=_ping)
 
     measure = verbs.add_parser("bench", help="measure how long an answer takes")
-    _add_server(measure, token)
+    _add_address(measure, token)
     measure.add_argument("--calls", type=int, default=200, help="how many answers")
     measure.add_argument("--image", action="append", default=[], metavar="HEIGHTxWIDTH", help="a picture of each call")
     measure.set_defaults(act=_bench)
     return parser
 
 
-def _add_server(parser: argparse.ArgumentParser, token: str) -> None:
-    parser.add_argument("address", help="vla://host:port, vlas://, unix:///path, ws:// or wss://")
+def _add_server(verbs: Any, verb: str, what: str, token: str) -> argparse.ArgumentParser:
+    """Add a verb that serves something, and return its parser."""
+    parser = verbs.add_parser(
+        verb,
+        help=f"serve a {what} until Ctrl-C",
+        allow_abbrev=False,
+        epilog=f"Other options, such as --size 128, are arguments of the {what}: JSON, or text.",
+    )
+    parser.add_argument("--host", default="127.0.0.1", help="anything but this machine itself needs a token")
+    parser.add_argument("--port", type=int, default=None, help="of TCP; by default the wire's own")
+    parser.add_argument("--token-file", type=Path, help=token)
+    parser.add_argument("--certificate", type=Path, help="file with a certificate, for TLS")
+    parser.add_argument("--key", type=Path, help="file with its key")
+    return parser
+
+
+def _add_address(parser: argparse.ArgumentParser, token: str) -> None:
+    parser.add_argument("address", help="vla://host:port, vlas://, ws:// or wss://")
     parser.add_argument("--timeout", type=float, default=5.0, help="how long an answer may take [s]")
     parser.add_argument("--token-file", type=Path, help=token)
     parser.add_argument("--certificate", type=Path, help="that the server's must be signed by")
@@ -130,13 +142,19 @@ def _options(words: Sequence[str]) -> dict[str, str]:
 
 
 def _serve(given: Any) -> int:
-    policy = catalogue.load(given.policy, given.checkpoint, given.settings, _options(given.more))
-    options: dict[str, Any] = {"host": given.host, "token": _token(given)}
-    options |= {} if given.port is None else {"port": given.port}
-    options |= {} if given.certificate is None else {"certificate": given.certificate}
-    options |= {} if given.key is None else {"key": given.key}
-    module, _, name = SERVERS["ws" if given.ws else given.wire].partition(":")
-    server = getattr(importlib.import_module(module), name)(policy, **options)
+    return _serve_at(catalogue.load(given.policy, given.checkpoint, given.settings, _options(given.more)), given)
+
+
+def _simulate(given: Any) -> int:
+    given.wire = "vla"
+    return _serve_at(served.load(given.simulator, _options(given.more)), given)
+
+
+def _serve_at(policy: Policy, given: Any) -> int:
+    module, _, name = SERVERS[given.wire].partition(":")
+    server = getattr(importlib.import_module(module), name)(
+        policy, host=given.host, port=given.port, token=_token(given), certificate=given.certificate, key=given.key
+    )
     stop = threading.Event()
 
     def end(*_: object) -> None:
@@ -161,8 +179,14 @@ def _recipe(given: Any) -> int:
     return 0
 
 
+def _client(given: Any) -> Any:
+    """Connect; the time of actions, which some servers do not send, does not matter here."""
+    options = {"token": _token(given), "timeout": given.timeout, "certificate": given.certificate}
+    return connect(given.address, period=1.0, **options)
+
+
 def _ping(given: Any) -> int:
-    with connect(given.address, token=_token(given), timeout=given.timeout, certificate=given.certificate) as client:
+    with _client(given) as client:
         metadata = client.metadata()
         print(f"{metadata.name}: chunks of {metadata.horizon} at {metadata.rate:g} Hz, {metadata.size} numbers each")
         for what, parts in (("action", metadata.action), ("state", metadata.state)):
@@ -177,7 +201,7 @@ def _ping(given: Any) -> int:
 
 
 def _bench(given: Any) -> int:
-    with connect(given.address, token=_token(given), timeout=given.timeout, certificate=given.certificate) as client:
+    with _client(given) as client:
         print(bench(client, calls=given.calls, images=given.image))
     return 0
 

@@ -18,21 +18,15 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from vlagents.errors import (
-    BadMessage,
-    InvalidInput,
-    PolicyFailed,
-    Unauthorized,
-    VlagentsError,
-)
+from vlagents.chunk import Chunk
+from vlagents.errors import BadMessage, InvalidInput, PolicyFailed, Unauthorized, VlagentsError
 from vlagents.observation import Observation
-from vlagents.other_wires.foreign_client import ForeignClient, side_by_side
-from vlagents.policy import Policy
+from vlagents.remote import RemotePolicy
 from vlagents.service import Caller
 from vlagents.wire import bulk
 from vlagents.wire.link import Deadline, Link, dial
 from vlagents.wire.message import array_of, encode
-from vlagents.wire.stream import LARGEST_BODY, LARGEST_HEADER
+from vlagents.wire.stream import LARGEST_HEADER
 from vlagents.wire.zmtp import ZmtpChannel
 from vlagents.wire_server import BEGIN, STRANGER, Guest, WireServer
 
@@ -66,13 +60,14 @@ def unpack(data: bytes | memoryview, *, most: int = LARGEST_HEADER) -> Any:
     return bulk.unpack(data, _from_map, most=most)
 
 
-class GrootClient(ForeignClient):
-    """Asks a server of GR00T, at `gr00t://host:port`. An observation's images and state have GR00T's names."""
+class GrootClient(RemotePolicy):
+    """Calls a server of GR00T, at `gr00t://host:port`. An observation's images and state have GR00T's names."""
 
-    _channel: ZmtpChannel | None = None
+    schemes = ("gr00t",)
+    _channel: ZmtpChannel | None
 
     def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Begin an episode on the server, too."""
+        """Begin an episode, on the server too; connect again if it was gone."""
         super().reset(session, instruction, seed=seed)
         with self._lock:
             self._call("reset", {"options": None})
@@ -83,34 +78,32 @@ class GrootClient(ForeignClient):
             answer = self._call("ping", None)
         return dict(answer) if isinstance(answer, Mapping) else {}
 
-    def _ask(self, observation: Observation, instruction: str) -> NDArray[Any]:
+    def _infer(self, observation: Observation) -> Chunk:
         seen = {
             "video": {name: observation.image(name)[None, None] for name in observation.images},
             "state": {name: np.asarray(part, np.float32)[None, None] for name, part in observation.state.items()},
-            "language": {"task": [[instruction]]},
+            "language": {"task": [[self._instructed(observation).instruction]]},
         }
         answer = self._call("get_action", {"observation": seen, "options": None})
         parts = answer[0] if isinstance(answer, (list, tuple)) and answer else None
-        if not isinstance(parts, Mapping) or not all(
-            isinstance(part, np.ndarray) and part.ndim == 3 and len(part) == 1 for part in parts.values()
-        ):
+        if not isinstance(parts, Mapping) or not parts:
             raise BadMessage(f"The answer of {self.address} is not [{{part: (1, horizon, size)}}, info].")
-        return side_by_side({str(name): part[0] for name, part in parts.items()}, self._metadata, self.address)
+        columns = []
+        for name in [part.name for part in self._metadata.action] or list(parts):
+            part = parts.get(name)
+            if not isinstance(part, np.ndarray) or part.dtype.kind not in "fiu" or part.ndim != 3 or len(part) != 1:
+                raise BadMessage(
+                    f"The answer of {self.address} has no {name!r} of shape (1, horizon, size); it has {list(parts)}."
+                )
+            columns.append(part[0])
+        if len({len(part) for part in columns}) != 1:
+            raise BadMessage(f"The answer of {self.address} has parts of different numbers of rows.")
+        return self._chunk(np.concatenate(columns, axis=1), observation.time)
 
-    def close(self) -> None:
-        """End the connection. A second call does nothing."""
-        with self._lock:
-            self._lose()
-
-    def _open(self, deadline: Deadline) -> ZmtpChannel:
+    def _connect(self) -> None:
         channel = ZmtpChannel(Link(dial(self.address, self.timeout)), is_client=True)
-        channel.greet(deadline)
-        return channel
-
-    def _lose(self) -> None:
-        channel, self._channel = self._channel, None
-        if channel is not None:
-            channel.close()
+        channel.greet(Deadline(self.timeout, f"The greeting of {self.address}"))
+        self._channel = channel
 
     def _call(self, endpoint: str, data: Any) -> Any:
         request: dict[str, Any] = {"endpoint": endpoint}
@@ -120,13 +113,12 @@ class GrootClient(ForeignClient):
             request["api_token"] = self._token
         message = pack(request)
         deadline = Deadline(self.timeout, f"The answer of {self.address} to {endpoint}")
+        channel = self._connected()
         try:
-            if self._channel is None:
-                self._channel = self._open(deadline)
-            self._channel.send(message, deadline)
-            answer = unpack(self._channel.receive(deadline))
+            channel.send(message, deadline)
+            answer = unpack(channel.receive(deadline))
         except VlagentsError:
-            self._lose()  # a late answer must not be taken for the next one
+            self._lose(channel)  # a late answer must not be taken for the next one
             raise
         if isinstance(answer, Mapping) and "error" in answer:
             raise PolicyFailed(f"{self.address} failed: {str(answer['error'])[:4000]}")
@@ -138,48 +130,26 @@ class GrootServer(WireServer):
 
     schemes = ("gr00t", None)
 
-    def __init__(self, policy: Policy, *, host: str = "127.0.0.1", port: int = 5555, token: str | None = None) -> None:
-        """Prepare; `start` or a `with` block opens the socket.
-
-        Args:
-            policy: The policy to serve; it is closed with the server.
-            host: Where to listen. Anything but this machine itself needs a token.
-            port: TCP port; 0 for any that is free.
-            token: The secret that clients send as `api_token`, unencrypted; None for none.
-
-        Raises:
-            InvalidInput: The address is open to others and there is no token.
-        """
-        super().__init__(policy, host=host, port=port, token=token)
-        self._has_token = token is not None
-
-    def _converse(self, guest: Guest) -> None:
-        caller = self.service.caller(guest.name)
+    def _open(self, guest: Guest) -> ZmtpChannel:
         channel = ZmtpChannel(Link(guest.connection), is_client=False)
-        try:
-            with self._conversation(guest, channel):
-                channel.greet(Deadline(BEGIN, "a greeting of ZeroMQ"))
-                while not self._is_closing.is_set():
-                    self._answer_one(channel, guest, caller)
-        finally:
-            self.service.forget(caller)
+        channel.greet(Deadline(BEGIN, "a greeting of ZeroMQ"))
+        return channel
 
-    def _answer_one(self, channel: ZmtpChannel, guest: Guest, caller: Caller) -> None:
-        may_send_all = caller.is_known or not self._has_token
-        channel.largest = LARGEST_BODY if may_send_all else LARGEST_FIRST
-        data = channel.receive(Deadline(None, ""), Deadline(self._transfer, "the rest of a message"))
+    def _answer_one(self, guest: Guest, channel: ZmtpChannel) -> None:
+        may_send_all = guest.is_known or not self.service.has_token
+        channel.largest = self._largest if may_send_all else LARGEST_FIRST
+        data = channel.receive(Deadline(None, ""), self._rest())
         try:
             request = unpack(data, most=LARGEST_HEADER if may_send_all else STRANGER)
             if not isinstance(request, Mapping):
                 raise BadMessage("A request is no dictionary.")
-            self.service.admit(caller, request.get("api_token"))
+            self.service.admit(guest, request.get("api_token"))
         except (BadMessage, Unauthorized) as error:
             with contextlib.suppress(VlagentsError):
                 said = "Unauthorized: Invalid API token" if isinstance(error, Unauthorized) else _text(error)
-                channel.send(pack({"error": said}), Deadline(self._transfer, "reading of an answer"))
+                channel.send(pack({"error": said}), self._rest())
             raise
-        guest.is_known = True
-        channel.send(pack(self._answer(caller, request)), Deadline(self._transfer, "reading of an answer"))
+        channel.send(pack(self._answer(guest, request)), self._rest())
 
     def _answer(self, caller: Caller, request: Mapping[str, Any]) -> Any:
         given = request.get("data")
@@ -196,8 +166,6 @@ class GrootServer(WireServer):
         if endpoint == "reset":
             self.service.reset(caller, "", "", None, None)
             return {}
-        if endpoint == "get_modality_config":
-            return self.service.metadata.to_dict()
         if endpoint != "get_action":
             raise InvalidInput(f"There is no endpoint {endpoint!r:.80}; valid: get_action, reset, ping.")
         chunk = self.service.infer(caller, _observation(data.get("observation")))

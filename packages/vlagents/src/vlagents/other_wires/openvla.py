@@ -21,17 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlagents.errors import (
-    BadMessage,
-    ConnectionLost,
-    InvalidInput,
-    PolicyFailed,
-    Unauthorized,
-    VlagentsError,
-)
+from vlagents.chunk import Chunk
+from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, PolicyFailed, Unauthorized, VlagentsError
 from vlagents.observation import Observation
-from vlagents.other_wires.foreign_client import ForeignClient
-from vlagents.policy import Policy
+from vlagents.remote import RemotePolicy
 from vlagents.service import Caller
 from vlagents.wire.link import Deadline
 from vlagents.wire.message import array_of
@@ -45,8 +38,10 @@ MOST_VALUES = 64 << 10
 """Most lists, dictionaries and commas in JSON; an image is one long string."""
 
 
-class OpenvlaClient(ForeignClient):
-    """Asks a server of OpenVLA, at `openvla+http://host:port`, with one image."""
+class OpenvlaClient(RemotePolicy):
+    """Calls a server of OpenVLA, at `openvla+http://host:port`, with one image, in a connection per call."""
+
+    schemes = ("openvla+http",)
 
     def __init__(self, address: str, *, image: str = "", unnorm_key: str = "", **options: Any) -> None:
         """Set what the server does not say.
@@ -55,24 +50,25 @@ class OpenvlaClient(ForeignClient):
             address: Where the server is.
             image: The camera whose image is sent; by default the only one.
             unnorm_key: The dataset whose statistics scale the actions; by default the server's.
-            options: As of `ForeignClient`.
+            options: As of `RemotePolicy`.
         """
-        super().__init__(address, **options)
         self._image, self._unnorm_key = image, unnorm_key
+        super().__init__(address, **options)
 
-    def _ask(self, observation: Observation, instruction: str) -> NDArray[Any]:
+    def _connect(self) -> None:
+        pass
+
+    def _infer(self, observation: Observation) -> Chunk:
         if not self._image and len(observation.images) != 1:
             raise InvalidInput(f"OpenVLA sees one image; there are {sorted(observation.images)}. Give `image`.")
         picture = observation.image(self._image or next(iter(observation.images)))
-        request: dict[str, Any] = {"image": to_map(picture), "instruction": instruction}
+        request: dict[str, Any] = {"image": to_map(picture), "instruction": self._instructed(observation).instruction}
         if self._unnorm_key:
             request["unnorm_key"] = self._unnorm_key
         answer = from_json(self._post(json.dumps(request).encode()))
         if isinstance(answer, str):
             raise PolicyFailed(f"{self.address} says that it failed; its log has the reason.")
-        if not isinstance(answer, np.ndarray) or answer.ndim not in (1, 2) or answer.dtype.kind not in "fiu":
-            raise BadMessage(f"The answer of {self.address} is no action.")
-        return np.atleast_2d(answer)
+        return self._chunk(answer, observation.time)
 
     def _post(self, data: bytes) -> bytes:
         deadline = Deadline(self.timeout, f"The answer of {self.address}")
@@ -115,27 +111,19 @@ class OpenvlaClient(ForeignClient):
 
 
 class OpenvlaServer(WireServer):
-    """Answers OpenVLA's clients with a policy. HTTP has no connection to tell robots apart: there is one session."""
+    """Answers OpenVLA's clients with a policy. HTTP has no connection to tell robots apart: there is one session.
+
+    The image of a request is the first one of the policy's metadata, or `image`.
+    """
 
     schemes = ("openvla+http", None)
 
-    def __init__(self, policy: Policy, *, port: int = 8000, image: str = "image", **options: Any) -> None:
-        """Prepare; `start` or a `with` block opens the socket.
+    _caller: Caller
 
-        Args:
-            policy: The policy to serve; it is closed with the server.
-            port: TCP port; 0 for any that is free.
-            image: The policy's name of the image.
-            options: `host`, and `token`, which clients send as `Authorization: Bearer TOKEN`, as of `WireServer`.
+    def _start_more(self) -> None:
+        self._caller = Caller("openvla")
 
-        Raises:
-            InvalidInput: The address is open to others and there is no token.
-        """
-        super().__init__(policy, port=port, **options)
-        self._caller: Caller = self.service.caller("openvla")
-        self._image = image
-
-    def _converse(self, guest: Guest) -> None:
+    def _open(self, guest: Guest) -> None:  # which answers the only request of a connection
         timer = threading.Timer(self._transfer, guest.connection.shutdown, (socket.SHUT_RD,))
         timer.start()  # for the whole request, even if it arrives byte by byte
         outside = self
@@ -170,10 +158,9 @@ class OpenvlaServer(WireServer):
             return 403, '"error"'
         kind, _, token = str(request.headers.get("Authorization", "")).partition(" ")
         try:
-            self.service.admit(self.service.caller(guest.name), token if kind == "Bearer" else "")
+            self.service.admit(guest, token if kind == "Bearer" else "")
         except Unauthorized:
             return 401, '"error"'
-        guest.is_known = True
         length = str(request.headers.get("Content-Length", ""))
         if request.path != "/act":
             return 404, '"error"'
@@ -193,7 +180,9 @@ class OpenvlaServer(WireServer):
     def _act(self, given: object) -> NDArray[Any]:
         if not isinstance(given, Mapping) or not isinstance(given.get("instruction"), str):
             raise InvalidInput("A request has no instruction.")
-        observation = Observation({self._image: given.get("image")}, {}, given["instruction"])  # type: ignore[dict-item]
+        images = self.service.metadata.images
+        name = images[0].name if images else "image"
+        observation = Observation({name: given.get("image")}, {}, given["instruction"])  # type: ignore[dict-item]
         actions = np.asarray(self.service.infer(self._caller, observation)["actions"])
         return actions[0] if len(actions) == 1 else actions
 

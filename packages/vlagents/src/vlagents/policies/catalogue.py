@@ -31,7 +31,6 @@ BUILT_IN: dict[str, str] = {
     "openvla": "vlagents.policies.openvla:OpenvlaPolicy",
     "random": "vlagents.policies.random:RandomPolicy",
     "replay": "vlagents.policies.replay:ReplayPolicy",
-    "scripted": "vlagents.policies.scripted:ScriptedPolicy.load",
     "smolvla": "vlagents.policies.lerobot:LerobotPolicy",
     "vjepa2_ac": "vlagents.policies.vjepa2_ac:Vjepa2AcPolicy",
 }
@@ -51,7 +50,7 @@ def load(
     """Return a policy.
 
     Args:
-        name: One of `names()`, or `module:Class`, which may be in the current folder.
+        name: One of `names()`, or `module:Class` or `module:function`, which may be in the current folder.
         checkpoint: Folder, file, or another first argument of the policy.
         settings: File with `Settings`; empty for `vlagents.json` in the checkpoint's folder.
         options: More arguments by name, as JSON, or as text where they are no JSON or are annotated `str`.
@@ -62,7 +61,9 @@ def load(
     """
     options = dict(options or {})
     if ":" in name:
-        make = _own(name)
+        if os.getcwd() not in sys.path:
+            sys.path.insert(0, os.getcwd())
+        make = _found(name)
     elif name in BUILT_IN:
         make = _found(BUILT_IN[name])
         options |= {"family": name} if name in FAMILIES else {}
@@ -107,21 +108,12 @@ def recipe(family: str) -> str:
 
 
 def _found(place: str) -> Callable[..., Policy]:
-    module, _, path = place.partition(":")
-    found = importlib.import_module(module)
-    for part in path.split("."):
-        found = getattr(found, part)
-    return found  # type: ignore[return-value]
-
-
-def _own(name: str) -> Callable[..., Policy]:
-    """Return the class of `module:Class`."""
-    if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
+    """Return the class or function of `module:name`."""
+    module, _, name = place.partition(":")
     try:
-        return _found(name)
+        return getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise InvalidInput(f"There is no policy {name!r}; valid is module:Class. {error}.") from error
+        raise InvalidInput(f"There is no policy {place!r}; valid is module:Class. {error}.") from error
 
 
 def _made(

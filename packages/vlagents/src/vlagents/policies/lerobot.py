@@ -166,6 +166,7 @@ class LerobotPolicy(SessionPolicy[Memory]):
             rate=settings.rate,
             checkpoint=str(folder),
             checkpoint_hash=hash_of(folder),
+            data_hash=settings.data_hash,
         )
 
 

@@ -6,8 +6,7 @@
 #   VLAGENTS     where vlagents comes from; rcs-vlagents
 #   PYTHON       python3.11; LeRobot 0.5 and later want 3.12
 #
-# torchcodec reads a dataset's videos with FFmpeg's libraries, the package ffmpeg of Debian and others; `rcs train
-# --policy` reads them with PyAV where there are none.
+# torchcodec reads a dataset's videos with FFmpeg's libraries, the package ffmpeg of Debian and others.
 set -eu
 folder=${1:?name the folder of the environment}
 "${PYTHON:-python3.11}" -m venv "$folder"

@@ -98,6 +98,7 @@ class OctoPolicy(SessionPolicy[_Memory]):
             rate=self._settings.rate or USUAL_RATE,
             checkpoint=checkpoint,
             checkpoint_hash="" if is_remote else hash_of(checkpoint),
+            data_hash=self._settings.data_hash,
         )
 
     def infer(self, observation: Observation) -> Chunk:

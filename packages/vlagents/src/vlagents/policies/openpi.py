@@ -26,11 +26,12 @@ from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import Settings, check_parts
+from vlagents.remote import RemotePolicy, connect
 
 SIZE = 224
 """Height and width of the models' images [pixels]. openpi pads other shapes with black, as `Resized` does."""
 DROID_STEP = 0.2
-"""How far a joint goes in 1/15 s at a velocity of 1 in DROID's units [rad]: its solver's `max_joint_delta`."""
+"""Motion of a joint in 1/15 s at a velocity of 1 in DROID's units [rad]: its solver's `max_joint_delta`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,19 +76,6 @@ DROID = Layout(
 )
 """Layout of the checkpoints pi0_droid, pi0_fast_droid and pi05_droid, which give joint velocities."""
 
-LIBERO = Layout(
-    images=("observation/image", "observation/wrist_image"),
-    state=(PartSpec("xyz_rotation_vector", 6, "m, rad"), PartSpec("fingers", 2, "m")),
-    action=(
-        PartSpec("osc_pose", 6, "-1 to 1 of LIBERO's controller", "delta"),
-        PartSpec("closing", 1, "-1 open, 1 closed"),
-    ),
-    rate=20.0,
-    to_state=lambda values: {"observation/state": values.astype(np.float32)},
-    to_actions=lambda actions: actions,
-)
-"""Layout of the checkpoints pi0_libero, pi0_fast_libero and pi05_libero. Actions are those of LIBERO's controller."""
-
 
 def own_layout(settings: Settings) -> Layout:
     """Return the layout of a model that was fine-tuned on a dataset of one's own.
@@ -100,7 +88,7 @@ def own_layout(settings: Settings) -> Layout:
     if not (settings.images and settings.state and settings.action and settings.rate):
         raise InvalidInput(
             "For a model that was fine-tuned on other data, the settings must have images, state, action and rate; for "
-            "a published one, `layout` in their options is 'droid' or 'libero'."
+            "a published one of DROID, `layout` in their options is 'droid'."
         )
     return Layout(
         images=tuple(settings.images),
@@ -120,10 +108,10 @@ class OpenpiPolicy(SessionPolicy[None]):
 
         Args:
             checkpoint: A folder of openpi's training, or `ws://host:port`.
-            settings: `images`, and for a layout of one's own `state`, `action` and `rate`; options `layout` ("droid",
-                "libero" or "own"), `config` (of a folder: openpi's name of it, or a file of Python with a TrainConfig
-                called CONFIG, which is run; it is looked for beside the checkpoint, then in the working folder) and
-                `timeout` (how long a server may take to answer [s], 30).
+            settings: `images`, and for a layout of one's own `state`, `action` and `rate`; options `layout` ("droid" or
+                "own"), `config` (of a folder: openpi's name of it, or a file of Python with a TrainConfig called
+                CONFIG, which is run; it is looked for beside the checkpoint, then in the working folder) and `timeout`
+                (how long a server may take to answer [s], 30).
 
         Raises:
             MissingStack: openpi is not installed.
@@ -132,30 +120,31 @@ class OpenpiPolicy(SessionPolicy[None]):
         """
         settings = settings or Settings.read(checkpoint)
         settings.check_options(("layout", "config", "timeout"))
-        layouts = {"droid": DROID, "libero": LIBERO}
         name = settings.option("layout", "own")
-        if name not in (*layouts, "own"):
-            raise InvalidInput(f"The option 'layout' is {name!r}; valid: droid, libero, own.")
-        self._layout = layouts[name] if name in layouts else own_layout(settings)
+        if name not in ("droid", "own"):
+            raise InvalidInput(f"The option 'layout' is {name!r}; valid: droid, own.")
+        self._layout = DROID if name == "droid" else own_layout(settings)
         self._settings = settings
-        if name in layouts:
+        if name == "droid":
             settings.check_images(list(self._layout.images))
             if settings.state or settings.action:
-                raise InvalidInput(f"The layout {name!r} has its own state and actions; the settings must not.")
-        is_address = checkpoint.startswith(("ws://", "wss://"))
-        self._inside: _Model | _Server = (
-            _Server(checkpoint, settings.option("timeout", 30.0)) if is_address else _Model(checkpoint, settings)
-        )
-        self._rate = self._layout.rate if name in layouts else settings.rate
+                raise InvalidInput("The layout 'droid' has its own state and actions; the settings must not.")
+        self._client: RemotePolicy | None = None
+        if is_address := checkpoint.startswith(("ws://", "wss://")):
+            # The layout has the actions' real period.
+            self._client = connect(checkpoint, timeout=settings.option("timeout", 30.0), period=1.0)
+        else:
+            self._model = _trained(checkpoint, settings)
         metadata = Metadata(
             name="openpi",
             action=self._layout.action,
             images=tuple(ImageSpec(settings.camera(key), SIZE, SIZE) for key in self._layout.images),
             state=self._layout.state,
             needs_instruction=True,
-            rate=self._rate,
+            rate=self._layout.rate,
             checkpoint=checkpoint,
             checkpoint_hash="" if is_address else hash_of(checkpoint),
+            data_hash=settings.data_hash,
         )
         super().__init__(metadata)
         self._metadata = replace(metadata, horizon=self._warm_up())
@@ -166,12 +155,13 @@ class OpenpiPolicy(SessionPolicy[None]):
         state = {part.name: np.zeros(part.size) for part in self._layout.state}
         chunk = self.infer(Observation(images=black, state=state, instruction="wait", session="warm-up"))
         self.forget("warm-up")
-        return chunk.horizon
+        return len(chunk.actions)
 
     def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
         """Begin an episode. openpi draws from one stream for all sessions, so a seed has no effect."""
         super().reset(session, instruction)
-        self._inside.reset()
+        if self._client is not None:
+            self._client.reset()
 
     def infer(self, observation: Observation) -> Chunk:
         """Return a chunk.
@@ -182,71 +172,38 @@ class OpenpiPolicy(SessionPolicy[None]):
             DeadlineExceeded: It did not answer in time.
         """
         instruction = self._instruction(observation)
-        flat: dict[str, Any] = {
+        images = {
             key: np.array(inputs.picture(observation, self._settings.camera(key), SIZE, SIZE))
             for key in self._layout.images
         }
-        flat |= self._layout.to_state(inputs.numbers(observation, self._layout.state))
-        actions = self._inside.ask(flat, instruction)
+        state = self._layout.to_state(inputs.numbers(observation, self._layout.state))
+        if self._client is not None:
+            actions = self._client.infer(Observation(images, state, instruction)).actions
+        else:
+            answer = self._model.infer({**images, **state, "prompt": instruction})
+            actions = np.asarray(answer["actions"], np.float64)
         check_parts("action", self._layout.action, actions.shape[-1])
-        return Chunk(self._layout.to_actions(actions), 1.0 / self._rate, observation.time)
+        return Chunk(self._layout.to_actions(actions), 1.0 / self._layout.rate, observation.time)
 
     def close(self) -> None:
         """End the connection to a server."""
-        self._inside.close()
+        if self._client is not None:
+            self._client.close()
 
 
-class _Model:
-    """A model in this process."""
-
-    def __init__(self, checkpoint: str, settings: Settings) -> None:
-        config = settings.option("config", "")
-        if not config:
-            raise InvalidInput(
-                "The option 'config' is missing; give the name of the openpi config that trained the model."
-            )
-        try:
-            policies = importlib.import_module("openpi.policies.policy_config")
-            configs = importlib.import_module("openpi.training.config")
-        except ImportError as error:  # the index's openpi 0.0.0 is a placeholder
-            raise MissingStack("openpi", error.name or "openpi") from error
-        made = _config_of(config, Path(checkpoint)) if config.endswith(".py") else configs.get_config(config)
-        # openpi joins paths to it, so it must be absolute.
-        self._policy = policies.create_trained_policy(made, Path(checkpoint).resolve())
-
-    def ask(self, flat: dict[str, Any], instruction: str) -> NDArray[np.float64]:
-        """Return actions (horizon, size), as openpi gives them."""
-        return np.asarray(self._policy.infer({**flat, "prompt": instruction})["actions"], np.float64)
-
-    def reset(self) -> None:
-        """Do nothing; the model remembers nothing."""
-
-    def close(self) -> None:
-        """Do nothing."""
-
-
-class _Server:
-    """A stock openpi server."""
-
-    def __init__(self, address: str, timeout: float) -> None:
-        from vlagents.websocket import WebsocketClient
-
-        # The layout has the actions' real period.
-        self._client = WebsocketClient(address, timeout=timeout, period=1.0)
-
-    def ask(self, flat: dict[str, Any], instruction: str) -> NDArray[np.float64]:
-        """Return actions (horizon, size), as openpi gives them."""
-        images = {key: value for key, value in flat.items() if value.ndim == 3}
-        state = {key: value for key, value in flat.items() if value.ndim == 1}
-        return self._client.infer(Observation(images=images, state=state, instruction=instruction)).actions
-
-    def reset(self) -> None:
-        """Connect again if the server was gone."""
-        self._client.reset()
-
-    def close(self) -> None:
-        """End the connection."""
-        self._client.close()
+def _trained(checkpoint: str, settings: Settings) -> Any:
+    """Return openpi's policy of a checkpoint."""
+    config = settings.option("config", "")
+    if not config:
+        raise InvalidInput("The option 'config' is missing; give the name of the openpi config that trained the model.")
+    try:
+        policies = importlib.import_module("openpi.policies.policy_config")
+        configs = importlib.import_module("openpi.training.config")
+    except ImportError as error:  # the index's openpi 0.0.0 is a placeholder
+        raise MissingStack("openpi", error.name or "openpi") from error
+    made = _config_of(config, Path(checkpoint)) if config.endswith(".py") else configs.get_config(config)
+    # openpi joins paths to it, so it must be absolute.
+    return policies.create_trained_policy(made, Path(checkpoint).resolve())
 
 
 def _config_of(config: str, checkpoint: Path) -> Any:

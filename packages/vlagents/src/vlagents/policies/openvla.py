@@ -22,7 +22,7 @@ from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import DELTA_POSE, Settings, check_parts, chosen
-from vlagents.policies.torch_stack import device, import_stack, precision
+from vlagents.policies.torch_stack import device, import_stack
 
 USUAL_RATE = 5.0
 """Rate of BridgeData V2 [Hz]; settings give that of other data."""
@@ -64,7 +64,8 @@ class OpenvlaPolicy(SessionPolicy[None]):
         self._prompt = PROMPT_V01 if settings.option("v01", "v01" in checkpoint) else PROMPT
         self._torch, transformers, *_ = import_stack("openvla", "transformers", "timm", "PIL")
         self._device = device(self._torch, settings.device)
-        self._precision = precision(self._torch, self._device)
+        # A CPU is slow with less than float32.
+        self._precision = self._torch.bfloat16 if self._device.type == "cuda" else self._torch.float32
         self._model, self._processor = load(
             transformers, checkpoint, self._precision, settings.option("attention", "eager")
         )
@@ -82,6 +83,7 @@ class OpenvlaPolicy(SessionPolicy[None]):
                 rate=settings.rate or USUAL_RATE,
                 checkpoint=checkpoint,
                 checkpoint_hash=hash_of(checkpoint) if Path(checkpoint).is_dir() else "",
+                data_hash=settings.data_hash,
             )
         )
 
@@ -94,21 +96,26 @@ class OpenvlaPolicy(SessionPolicy[None]):
         instruction = self._instruction(observation)
         image = picture_for(inputs.picture(observation, self._camera), self._is_cropped)
         given = self._processor(prompt(self._prompt, instruction), image).to(self._device, dtype=self._precision)
-        self._end_with_empty(given)
+        end_with_empty(self._torch, given)
         with self._torch.inference_mode():
             action = self._model.predict_action(**given, unnorm_key=self._dataset, do_sample=False)
         return Chunk(np.atleast_2d(np.asarray(action, np.float64)), 1.0 / self._metadata.rate, observation.time)
 
-    def _end_with_empty(self, given: Any) -> None:
-        """End the text with the empty token, which it ended with in training.
 
-        The model's code adds the token where it is missing, but not to the mask, which only some attention takes.
-        """
-        tokens = given["input_ids"]
-        if tokens[0, -1] != EMPTY:
-            given["input_ids"] = self._torch.cat([tokens, self._torch.full_like(tokens[:, :1], EMPTY)], dim=1)
-            mask = given["attention_mask"]
-            given["attention_mask"] = self._torch.cat([mask, self._torch.ones_like(mask[:, :1])], dim=1)
+def end_with_empty(torch: Any, given: Any) -> None:
+    """End a text with the empty token, which it ended with in training.
+
+    The model's code adds the token where it is missing, but not to the mask, which only some attention takes.
+
+    Args:
+        torch: The package.
+        given: Has `input_ids` and `attention_mask`, (1, tokens) each; both are replaced.
+    """
+    tokens = given["input_ids"]
+    if tokens[0, -1] != EMPTY:
+        given["input_ids"] = torch.cat([tokens, torch.full_like(tokens[:, :1], EMPTY)], dim=1)
+        mask = given["attention_mask"]
+        given["attention_mask"] = torch.cat([mask, torch.ones_like(mask[:, :1])], dim=1)
 
 
 def load(transformers: Any, checkpoint: str, precision: Any, attention: str) -> tuple[Any, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from typing import Any
 
@@ -32,25 +31,6 @@ class ScriptedPolicy(SessionPolicy[None]):
             raise InvalidInput(f"rate of {metadata.name!r} is {metadata.rate!r}; valid is a number of hertz above 0.")
         super().__init__(metadata)
         self._act = act
-
-    @classmethod
-    def load(cls, checkpoint: str) -> ScriptedPolicy:
-        """Return the policy that a function without arguments makes.
-
-        Args:
-            checkpoint: The function, as `module:function`.
-
-        Raises:
-            InvalidInput: There is no such function, or it makes something else.
-        """
-        module, _, name = checkpoint.partition(":")
-        try:
-            made = getattr(importlib.import_module(module), name)()
-        except (ImportError, AttributeError, ValueError) as error:
-            raise InvalidInput(f"checkpoint is {checkpoint!r}; valid is module:function. {error}") from error
-        if not isinstance(made, cls):
-            raise InvalidInput(f"{checkpoint!r} made {type(made).__name__}; valid is a ScriptedPolicy.")
-        return made
 
     def infer(self, observation: Observation) -> Chunk:
         """Return the function's actions."""

@@ -5,6 +5,7 @@ in the checkpoint's folder, or in one given with `vlagents serve --settings`:
 
     {
       "dataset": "pick_cuboid",
+      "data_hash": "5f0c…",
       "images": {"image_primary": "side", "image_wrist": "wrist"},
       "state": [{"name": "joints", "size": 7, "unit": "rad"}],
       "action": [{"name": "xyzrpy", "size": 6, "unit": "m, rad", "meaning": "delta"},
@@ -23,7 +24,7 @@ from typing import Any
 
 from vlagents.errors import InvalidInput
 from vlagents.metadata import PartSpec
-from vlagents.record import Hertz, Name, check, read
+from vlagents.record import Hertz, Name, Record
 
 FILE = "vlagents.json"
 """Name of the file in a checkpoint's folder."""
@@ -33,11 +34,13 @@ frame, as translation and roll-pitch-yaw, and where the gripper goes."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class Settings(Record):
     """Names of a checkpoint's inputs and outputs on the robot."""
 
     dataset: str = ""
     """Dataset whose statistics bring actions back to physical units. Optional where the checkpoint has one dataset."""
+    data_hash: str = ""
+    """Hash of the dataset that the checkpoint was trained on."""
     images: Mapping[str, Name] = field(default_factory=dict)
     """Camera by the model's name of an image; by default the same name."""
     state: tuple[PartSpec, ...] = ()
@@ -50,14 +53,6 @@ class Settings:
     """Device of the model, such as `cuda:0` or `cpu`; empty for a GPU if there is one. JAX chooses by itself."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """More options of a family; its module lists them."""
-
-    def __post_init__(self) -> None:
-        """Check types.
-
-        Raises:
-            InvalidInput: One is wrong.
-        """
-        check(self)
 
     @classmethod
     def read(cls, checkpoint: str | Path, file: str | Path | None = None) -> Settings:
@@ -81,17 +76,17 @@ class Settings:
             raise InvalidInput(f"{path}: {error}") from error
 
     @classmethod
-    def from_dict(cls, given: object) -> Settings:
+    def from_dict(cls, values: object) -> Settings:
         """Read settings from plain values.
 
         Raises:
             InvalidInput: A name is unknown or a value is wrong.
         """
         known = [item.name for item in fields(cls)]
-        if not isinstance(given, Mapping) or not all(name in known for name in given):
-            names = ", ".join(map(str, given)) if isinstance(given, Mapping) else type(given).__name__
+        if not isinstance(values, Mapping) or not all(name in known for name in values):
+            names = ", ".join(map(str, values)) if isinstance(values, Mapping) else type(values).__name__
             raise InvalidInput(f"The settings have {names}; valid are {', '.join(known)}.")
-        return read(cls, given)
+        return super().from_dict(values)
 
     def camera(self, image: str) -> str:
         """Return the camera of an image, by the model's name of it."""

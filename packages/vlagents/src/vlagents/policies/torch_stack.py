@@ -70,8 +70,3 @@ def device(torch: Any, wanted: str) -> Any:
     except (RuntimeError, AssertionError) as error:
         raise InvalidInput(f"device of the settings is {name!r}, which cannot be used here: {error}") from error
     return found
-
-
-def precision(torch: Any, where: Any) -> Any:
-    """Return the type of a large model's weights: bfloat16 on a GPU, float32 on a CPU, which is slow with less."""
-    return torch.bfloat16 if where.type == "cuda" else torch.float32

@@ -1,7 +1,8 @@
 """V-JEPA 2-AC (facebookresearch/vjepa2): a world model that plans towards an image of the goal.
 
-A video encoder turns images into features; a predictor computes the features that follow a motion of the hand; the
-answer is the motion whose features are nearest to the goal's (`cross_entropy`). The task is an image, not words.
+A video encoder turns images into features; a predictor computes the features that follow a motion of the hand. The
+answer is the motion whose features are nearest to the goal's, by the cross-entropy method as in Assran et al. (2025,
+section 3.2): draw motions, keep the best, and draw the next ones around them. The task is an image, not words.
 
 A checkpoint is a folder with `encoder/`, a V-JEPA 2 as Transformers saves it, and `predictor.pt`, the published PyTorch
 file, whose entry `predictor` is used. The predictor's class comes from a checkout of the original repository, because
@@ -11,8 +12,8 @@ no package has it.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,6 @@ from vlagents.metadata import ImageSpec, Metadata, PartSpec
 from vlagents.observation import Observation
 from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
-from vlagents.policies.cross_entropy import Search, plan
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import DELTA_POSE, Settings
 from vlagents.policies.torch_stack import device, import_stack
@@ -37,6 +37,16 @@ STATE = (PartSpec("xyzrpy", 6, "m, rad"), PartSpec("gripper", 1, "0 closed, 1 op
 PICTURE = "image"
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Mean and deviation of ImageNet's colours, with which the encoder was trained."""
+LARGEST_GRIP = 0.75
+"""Most that the gripper closes or opens in a step, as a share of its range."""
+SMALLEST_GRIP = 0.25
+"""Smaller shares of its range are noise of the search, and become 0."""
+INERTIA = 0.15
+"""Share of the mean and deviation that stays from round to round."""
+SEARCH = {"horizon": 2, "samples": 400, "best": 10, "rounds": 10, "reach": 0.05}
+"""Options of the search: steps that are planned ahead, motions that are drawn in a round and kept of them, rounds, and
+most that the hand moves in a step along each axis [m]. More samples find better plans, at proportional time and
+memory."""
 PREDICTOR = ("predictor_embed_dim", "depth", "num_heads", "num_frames")
 """Options that are sizes of the predictor; by default those of the published model (1024, 24, 16, 64)."""
 
@@ -58,7 +68,7 @@ class Vjepa2AcPolicy(SessionPolicy[_Memory]):
 
         Args:
             checkpoint: The folder.
-            settings: `images` (of the one image, `image`), `rate`, `device`; options are the fields of `Search`, and
+            settings: `images` (of the one image, `image`), `rate`, `device`; options are those of `SEARCH`, and
                 sizes of the predictor if it is not the published one.
 
         Raises:
@@ -67,11 +77,10 @@ class Vjepa2AcPolicy(SessionPolicy[_Memory]):
         """
         settings = settings or Settings.read(checkpoint)
         settings.check_images([PICTURE])
-        search = [field.name for field in fields(Search)]
-        settings.check_options((*search, *PREDICTOR))
+        settings.check_options((*SEARCH, *PREDICTOR))
         if settings.state or settings.action or settings.dataset:
             raise InvalidInput("V-JEPA 2-AC's state and actions are those of DROID; the settings cannot change them.")
-        self._search = Search(**{name: value for name, value in settings.options.items() if name in search})
+        self._search = search_of(settings)
         folder = Path(checkpoint)
         if not (folder / "encoder" / "config.json").is_file() or not (folder / "predictor.pt").is_file():
             raise InvalidInput(f"checkpoint is {checkpoint!r}; valid is a folder with encoder/ and predictor.pt.")
@@ -87,10 +96,11 @@ class Vjepa2AcPolicy(SessionPolicy[_Memory]):
                 action=DELTA_POSE,
                 images=(ImageSpec(self._camera),),
                 state=STATE,
-                horizon=self._search.horizon,
+                horizon=self._search["horizon"],
                 rate=settings.rate or USUAL_RATE,
                 checkpoint=checkpoint,
                 checkpoint_hash=hash_of(checkpoint),
+                data_hash=settings.data_hash,
             )
         )
 
@@ -142,12 +152,12 @@ class Vjepa2AcPolicy(SessionPolicy[_Memory]):
         pose = inputs.numbers(observation, STATE)
         with self._torch.inference_mode():
             here = self._features(inputs.picture(observation, self._camera))
-            motion, distance = self._plan(here, self._goal(observation, memory), pose, memory.generator)
-        steps = np.zeros((self._search.horizon, 7))
+            motion = self._plan(here, self._goal(observation, memory), pose, memory.generator)
+        steps = np.zeros((self._search["horizon"], 7))
         steps[:, :3] = motion[:, :3]
         # The model's last number is how far the gripper closes; ours is where it is, 1 for open.
         steps[:, 6] = np.clip(pose[6] - np.cumsum(motion[:, 3]), 0.0, 1.0)
-        return Chunk(steps, 1.0 / self._metadata.rate, observation.time, {"distance": distance})
+        return Chunk(steps, 1.0 / self._metadata.rate, observation.time)
 
     def _goal(self, observation: Observation, memory: _Memory) -> Any:
         """Return the goal's features; an unchanged image is not encoded again."""
@@ -174,16 +184,12 @@ class Vjepa2AcPolicy(SessionPolicy[_Memory]):
     def _normal(self, features: Any) -> Any:
         return self._torch.nn.functional.layer_norm(features, (features.shape[-1],))
 
-    def _plan(
-        self, here: Any, goal: Any, pose: NDArray[np.float64], generator: Any
-    ) -> tuple[NDArray[np.float64], float]:
-        """Return a motion (horizon, 4), and the distance of the last round's best from the goal in features."""
+    def _plan(self, here: Any, goal: Any, pose: NDArray[np.float64], generator: Any) -> NDArray[np.float64]:
+        """Return a motion (horizon, 4)."""
         torch, patches = self._torch, here.shape[1]
         start = torch.tensor([*pose[:6], 1.0 - pose[6]], dtype=torch.float32, device=self._device)
-        nearest = float("inf")
 
         def imagine(motions: Any) -> Any:
-            nonlocal nearest
             count = len(motions)
             seen = here.expand(count, -1, -1)
             poses = start.expand(count, 1, -1)
@@ -193,12 +199,9 @@ class Vjepa2AcPolicy(SessionPolicy[_Memory]):
                 seen = torch.cat([seen, self._normal(follows)], dim=1)
                 moved = poses[:, -1:] + actions[:, step : step + 1]
                 poses = torch.cat([poses, torch.cat([moved[..., :6], moved[..., 6:].clamp(0.0, 1.0)], dim=-1)], dim=1)
-            distances = (seen[:, -patches:] - goal).abs().mean(dim=(1, 2))
-            nearest = float(distances.min())
-            return distances
+            return (seen[:, -patches:] - goal).abs().mean(dim=(1, 2))
 
-        motion = plan(torch, imagine, self._search, generator, self._device)
-        return motion.cpu().numpy().astype(np.float64), nearest
+        return plan(torch, imagine, self._search, generator, self._device).cpu().numpy().astype(np.float64)
 
 
 def _square(image: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
@@ -206,3 +209,43 @@ def _square(image: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
     from PIL import Image, ImageOps
 
     return np.array(ImageOps.fit(Image.fromarray(np.array(image)), (size, size), Image.Resampling.BILINEAR))
+
+
+def search_of(settings: Settings) -> dict[str, Any]:
+    """Return the options of the search.
+
+    Raises:
+        InvalidInput: One is of another type or out of range.
+    """
+    search = {name: settings.option(name, default) for name, default in SEARCH.items()}
+    if min(search.values()) <= 0 or search["reach"] > 10.0 or not 2 <= search["best"] <= search["samples"]:
+        raise InvalidInput(
+            f"The options of the search are {search}; valid are numbers above 0, a reach up to 10 m, and best from 2 "
+            "to samples."
+        )
+    return search
+
+
+def plan(torch: Any, imagine: Callable[[Any], Any], search: Mapping[str, Any], generator: Any, device: Any) -> Any:
+    """Return the motion that ends nearest to the goal, (horizon, 4): translation [m], and how far the gripper closes.
+
+    The orientation is kept, as in the experiments of V-JEPA 2.
+
+    Args:
+        torch: The module.
+        imagine: A function of motions, (samples, horizon, 4), that returns how far from the goal each ends, (samples,).
+        search: Values of the options of `SEARCH`.
+        generator: Random numbers, on the CPU, so that a seed means the same on all devices.
+        device: Where `imagine` works.
+    """
+    limit = torch.tensor([search["reach"]] * 3 + [LARGEST_GRIP], device=device)
+    mean = torch.zeros(search["horizon"], 4, device=device)
+    deviation = torch.tensor([search["reach"]] * 3 + [1.0], device=device).repeat(search["horizon"], 1)
+    for _ in range(search["rounds"]):
+        drawn = torch.randn(search["samples"], search["horizon"], 4, generator=generator).to(device)
+        motions = torch.clamp(mean + deviation * drawn, -limit, limit)
+        best = motions[torch.topk(imagine(motions), search["best"], largest=False).indices]
+        mean = INERTIA * mean + (1.0 - INERTIA) * best.mean(dim=0)
+        deviation = INERTIA * deviation + (1.0 - INERTIA) * best.std(dim=0)
+    grip = mean[:, 3:]
+    return torch.cat([mean[:, :3], torch.where(grip.abs() < SMALLEST_GRIP, 0.0, grip)], dim=1)

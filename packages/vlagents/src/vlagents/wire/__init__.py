@@ -1,1 +1,1 @@
-"""How calls travel: messages of plain values and arrays, over sockets, shared memory or a websocket."""
+"""Messages of plain values and arrays, over sockets, shared memory or a websocket."""

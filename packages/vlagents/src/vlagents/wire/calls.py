@@ -1,7 +1,7 @@
 """Calls and answers as plain values.
 
-A connection begins with `hello`, which has the token and what the robot offers. Then the client may call `metadata`,
-`reset`, `infer`, `forget` and `ping`, each with a number that the answer repeats.
+A connection begins with `hello`, which has the token. Then the client may call `reset`, `infer`, `forget` and `ping`,
+each with a number that the answer repeats.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from msgspec import Meta
 from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, InvalidInput, as_failure
 from vlagents.jpeg import Jpeg
-from vlagents.metadata import Offer
 from vlagents.observation import Observation
 from vlagents.record import Seconds, read
 
@@ -29,10 +28,9 @@ class Call:
 
     call: str
     within: Seconds | None = None
-    """How long the client waits for the answer [s]."""
+    """Longest time that the client waits for the answer [s]."""
     version: Any = None
     token: Any = None
-    offer: Offer | None = None
     session: Annotated[str, Meta(max_length=200)] = ""
     instruction: Annotated[str, Meta(max_length=100_000)] = ""
     seed: Annotated[int, Meta(ge=0)] | None = None
@@ -47,8 +45,6 @@ class _Observation:
     instruction: str = ""
     time: float = 0.0
     session: str = ""
-    previous: np.ndarray | None = None
-    frozen: int = 0
 
 
 @dataclass(frozen=True)
@@ -68,7 +64,6 @@ def observation_to_values(observation: Observation) -> dict[str, Any]:
         "instruction": observation.instruction,
         "time": float(observation.time),
         "session": observation.session,
-        **({} if observation.previous is None else {"previous": observation.previous, "frozen": observation.frozen}),
     }
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
-from vlagents.wire.link import Deadline, Link, closed_by_errors
+from vlagents.wire.link import Channel, Deadline, Link
 from vlagents.wire.stream import KEPT, LARGEST_BODY
 
 GO_ON, TEXT, BINARY, CLOSE, PING, PONG = 0, 1, 2, 8, 9, 10
@@ -33,7 +33,7 @@ NORMAL, PROTOCOL, NOT_UTF8, TOO_LARGE = 1000, 1002, 1007, 1009
 Part = bytes | memoryview
 
 
-class FrameChannel:
+class FrameChannel(Channel):
     """Sends and receives messages. Of several threads, one may receive, and any may send."""
 
     def __init__(self, link: Link, *, is_client: bool, largest: int = LARGEST_BODY) -> None:
@@ -44,7 +44,8 @@ class FrameChannel:
             is_client: Whether this is the client's side, which masks its messages.
             largest: Most bytes of a received message.
         """
-        self._link, self._is_client, self.largest = link, is_client, largest
+        super().__init__(link)
+        self._is_client, self.largest = is_client, largest
         self._reading, self._writing = threading.Lock(), threading.Lock()
         self._body = np.empty(0, np.uint8)
         self._scratch = np.empty(PIECE if is_client else 0, np.uint8)
@@ -57,23 +58,8 @@ class FrameChannel:
             ConnectionLost: It has gone.
         """
         parts = [message.encode()] if isinstance(message, str) else message
-        with closed_by_errors(self._link), self._writing:
+        with self.guarded(), self._writing:
             self._write(TEXT if isinstance(message, str) else BINARY, parts, deadline)
-
-    def receive(self, deadline: Deadline, begun: Deadline | None = None) -> str | memoryview:
-        """Return the next message, bytes in memory of its own.
-
-        Args:
-            deadline: By when it must have begun to come, and be complete unless `begun` says otherwise.
-            begun: By when it must be complete once it began, counted from then.
-
-        Raises:
-            DeadlineExceeded: It did not arrive in time.
-            BadMessage: The bytes are no message, or too many.
-            ConnectionLost: The other side has gone, or said that it goes.
-        """
-        with closed_by_errors(self._link), self._reading:
-            return self._receive(deadline, begun)
 
     def attend(self) -> None:
         """Answer pings while no thread receives; do nothing while one does."""
@@ -144,9 +130,13 @@ class FrameChannel:
         self._link.send(waiting, deadline)
 
     def _receive(self, deadline: Deadline, begun: Deadline | None) -> str | memoryview:
+        with self._reading:
+            return self._next(deadline, begun)
+
+    def _next(self, deadline: Deadline, begun: Deadline | None) -> str | memoryview:
         kind, size = GO_ON, 0
         rest = deadline
-        if sys.getrefcount(self._body) > 2:  # somebody keeps an array of the last message
+        if sys.getrefcount(self._body) > 2:  # an array of the last message is still in use
             self._body = np.empty(0, np.uint8)
         while True:
             self._link.need(1, rest)
@@ -187,7 +177,7 @@ class FrameChannel:
         return first, count, b"" if self._is_client else self._link.take(4, deadline)
 
     def _read(self, start: int, count: int, key: bytes, deadline: Deadline) -> None:
-        """Read the bytes of a frame behind those of the message that came before."""
+        """Read the bytes of a frame behind those that the message has already."""
         if start + count > len(self._body):
             body = np.empty(max(start + count, 2 * start), np.uint8)
             body[:start] = self._body[:start]

@@ -11,8 +11,10 @@ import select
 import socket
 import ssl
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Generator, Sequence
 from pathlib import Path
+from typing import Any
 
 from vlagents.address import Address
 from vlagents.errors import ConnectionLost, DeadlineExceeded, VlagentsError
@@ -187,7 +189,7 @@ class Link:
         return bool(self._to_read.poll(None if seconds is None else 1e3 * seconds))
 
     def stop(self) -> None:
-        """End the connection from another thread: whoever reads or writes learns that it has gone, and closes it."""
+        """End the connection from another thread; the one that reads or writes notices, and closes it."""
         with contextlib.suppress(OSError):
             socket.socket.shutdown(self._socket, socket.SHUT_RDWR)  # of TLS too, whose own forgets the encryption
 
@@ -219,14 +221,57 @@ class Link:
             raise deadline.exceeded()
 
 
-@contextlib.contextmanager
-def closed_by_errors(link: Link) -> Generator[None]:
-    """Close a link on any error, which becomes one of ours."""
-    try:
-        yield
-    except VlagentsError:
-        link.close()
-        raise
-    except OSError as error:
-        link.close()
-        raise ConnectionLost(f"The connection broke: {error}.") from error
+class Channel(ABC):
+    """Messages over a link. After any error but an `InvalidInput` of a message to send it is closed, as out of step."""
+
+    def __init__(self, link: Link) -> None:
+        """Take over a link; it is closed with the channel."""
+        self._link = link
+
+    def receive(self, deadline: Deadline, begun: Deadline | None = None) -> Any:
+        """Return the next message, in memory of its own.
+
+        Args:
+            deadline: By when it must have begun to come, and be complete unless `begun` says otherwise.
+            begun: By when it must be complete once it began, counted from then.
+
+        Raises:
+            DeadlineExceeded: It did not arrive in time.
+            BadMessage: The bytes are no message, or too many.
+            ConnectionLost: The other side has gone, or said that it goes.
+        """
+        with self.guarded():
+            return self._receive(deadline, begun)
+
+    def stop(self) -> None:
+        """End the connection from another thread; the one that reads or writes notices, and closes it."""
+        self._link.stop()
+
+    def close(self) -> None:
+        """Close the connection; only for the thread that reads and writes."""
+        self._link.close()
+
+    @abstractmethod
+    def _receive(self, deadline: Deadline, begun: Deadline | None) -> Any:
+        """Return the next message; see `receive`."""
+
+    def _begun(self, deadline: Deadline, begun: Deadline | None) -> Deadline:
+        """Wait until a message begins, and return by when it must be complete."""
+        self._link.need(1, deadline)
+        return deadline if begun is None else Deadline(begun.seconds, "the rest of a message")
+
+    @contextlib.contextmanager
+    def guarded(self) -> Generator[None]:
+        """Close the link on any error, which becomes one of ours."""
+        try:
+            yield
+        except VlagentsError:
+            self._fail()
+            raise
+        except OSError as error:
+            self._fail()
+            raise ConnectionLost(f"The connection broke: {error}.") from error
+
+    def _fail(self) -> None:
+        """Close after an error."""
+        self._link.close()

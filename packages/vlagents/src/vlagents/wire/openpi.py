@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, InvalidInput
 from vlagents.observation import Observation
 from vlagents.wire import bulk
@@ -26,7 +25,7 @@ OWN = "vlagents"
 PROMPT = "prompt"
 ACTIONS = "actions"
 ARRAY_HEAD = b"\x84\xc4\x0b__ndarray__\xc3\xc4\x04data"
-"""How an array begins."""
+"""First bytes of an array."""
 DEEPEST = 4
 """Most dictionaries inside each other."""
 
@@ -116,24 +115,6 @@ def observation_from_flat(given: object, session: str = "", time: float = 0.0) -
                 "numbers (n,)."
             )
     return Observation(images=images, state=state, instruction=instruction, session=session, time=time)
-
-
-def chunk_from_flat(given: object, period: float, time: float) -> Chunk:
-    """Read openpi's answer.
-
-    Raises:
-        BadMessage: It has no valid actions.
-    """
-    found = given if isinstance(given, Mapping) else {}
-    actions, timing = found.get(ACTIONS), found.get("server_timing")
-    if not isinstance(actions, np.ndarray):
-        raise BadMessage(f"The answer has no array {ACTIONS!r}.")
-    times = timing.items() if isinstance(timing, Mapping) else ()
-    info = {name: float(value) for name, value in times if isinstance(value, (int, float))}
-    try:
-        return Chunk(np.array(actions, np.float64).reshape(-1, actions.shape[-1]), period, time, info)
-    except (InvalidInput, ValueError, IndexError) as error:
-        raise BadMessage(f"The answer is no chunk: {error}") from error
 
 
 def _array_to_map(array: NDArray[Any]) -> dict[bytes, Any]:

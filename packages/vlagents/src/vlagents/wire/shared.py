@@ -1,9 +1,9 @@
 """Messages between processes of one user on one machine: headers over a Unix socket, arrays in shared memory.
 
-The memory has no name: its file descriptor travels over the socket. So nothing is left behind by whoever is killed, and
-nobody else can open it. It cannot shrink (a seal that the reader checks), so that a reader never touches memory that is
-gone. It has two slots: the second is for what is sent while the first is still read, such as after an answer that was
-late. Each begins with the number of the message that lies in it, and the reader looks twice: before it copies the
+The memory has no name: its file descriptor travels over the socket. So a killed process leaves nothing behind, and no
+other process can open it. It cannot shrink (a seal that the reader checks), so that a reader never touches memory that
+is gone. It has two slots: the second is for what is sent while the first is still read, such as after an answer that
+was late. Each begins with the number of the message that lies in it, and the reader looks twice: before it copies the
 arrays out, and after.
 """
 
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vlagents.address import Address
 from vlagents.errors import BadMessage
 from vlagents.wire.link import Deadline, Link
 from vlagents.wire.message import pack, unpack
@@ -70,12 +71,12 @@ class UnixLink(Link):
             os.close(self.files.pop())
 
     def _read_now(self, view: memoryview) -> int:
-        count, told, _, _ = self._socket.recvmsg_into([view], socket.CMSG_LEN(4), socket.MSG_CMSG_CLOEXEC)
-        for level, kind, data in told:
+        count, ancillary, _, _ = self._socket.recvmsg_into([view], socket.CMSG_LEN(4), socket.MSG_CMSG_CLOEXEC)
+        for level, kind, data in ancillary:
             if level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:
                 self.files += [number for (number,) in struct.iter_unpack("i", data[: len(data) // 4 * 4])]
         if len(self.files) > MOST_FILES:
-            raise BadMessage(f"{len(self.files)} files came that no message is about.")
+            raise BadMessage(f"{len(self.files)} files arrived without a message.")
         return count
 
 
@@ -101,10 +102,8 @@ class SharedChannel(StreamChannel):
         """Send a message, through the memory if it is large."""
         header, parts, size = pack(values)
         self._check_header(header)
-        if size < LEAST:
-            self._guarded(self._send_inline, header, parts, size, deadline)
-        else:
-            self._guarded(self._send_shared, header, parts, size, deadline)
+        with self.guarded():
+            (self._send_inline if size < LEAST else self._send_shared)(header, parts, size, deadline)
 
     def close(self) -> None:
         """Close the socket and let go of the memory."""
@@ -127,7 +126,7 @@ class SharedChannel(StreamChannel):
         self._number += 1
         slot, self._slot = self._slot, (self._slot + 1) % SLOTS
         start = slot * self._slot_size
-        _set_number(memory, start, 0)  # whoever still reads this slot learns that it is over
+        _set_number(memory, start, 0)  # a reader of this slot notices that it is over
         at = start + HEAD
         for part in parts:
             np.copyto(memory[at : at + len(part)], np.frombuffer(part, np.uint8))  # without Python's lock
@@ -160,8 +159,7 @@ class SharedChannel(StreamChannel):
         self._own, self._own_file, self._slot_size = memory, file, size
 
     def _receive(self, deadline: Deadline, begun: Deadline | None) -> Any:
-        self._link.need(1, deadline)
-        rest = deadline if begun is None else Deadline(begun.seconds, "the rest of a message")
+        rest = self._begun(deadline, begun)
         prefix = self._link.take(PREFIX.size, rest)
         if prefix[:4] != MAGIC:
             return self._receive_body(prefix, rest)
@@ -202,6 +200,16 @@ class SharedChannel(StreamChannel):
             raise BadMessage(f"The shared memory is not sealed, or does not have {SLOTS} slots of {slot_size} bytes.")
         view = np.frombuffer(mmap.mmap(file, SLOTS * slot_size, prot=mmap.PROT_READ), np.uint8)
         self._theirs, self._their_slot_size = view, slot_size
+
+
+def name_beside(address: Address) -> str:
+    """Return the name of the Unix socket beside a TCP port of this machine.
+
+    It is abstract (unix(7)): no file has it, so a server that is killed leaves nothing behind, and it is of the same
+    network namespace as the port. Any user may connect, so both sides compare `peer_user`.
+    """
+    host = "127.0.0.1" if address.host == "localhost" else address.host
+    return f"\0vlagents/{os.getuid()}/{host}/{address.port}"
 
 
 def peer_user(connection: socket.socket) -> int:

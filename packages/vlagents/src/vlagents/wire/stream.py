@@ -9,14 +9,13 @@ from __future__ import annotations
 import socket
 import struct
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
-from vlagents.wire.link import AHEAD, Deadline, Link
+from vlagents.errors import BadMessage
+from vlagents.wire.link import AHEAD, Channel, Deadline, Link
 from vlagents.wire.message import pack, unpack
 
 MAGIC = b"VLA1"
@@ -29,8 +28,8 @@ KEPT = 64 << 20
 """Memory of a body of up to this many bytes is used again: new memory costs more time than reading into it."""
 
 
-class StreamChannel:
-    """Messages over a connected socket. After any error but an `InvalidInput` it is closed, for it is out of step."""
+class StreamChannel(Channel):
+    """Messages over a connected socket."""
 
     def __init__(self, connection: socket.socket, *, largest_body: int = LARGEST_BODY) -> None:
         """Take over a socket.
@@ -39,7 +38,7 @@ class StreamChannel:
             connection: It is closed with the channel.
             largest_body: Most bytes of arrays in a received message.
         """
-        self._link = self._linked(connection)
+        super().__init__(self._linked(connection))
         self.largest_body = largest_body
         self._body = np.empty(0, np.uint8)
 
@@ -53,21 +52,8 @@ class StreamChannel:
         """
         header, parts, size = pack(values)
         self._check_header(header)
-        self._guarded(self._send_inline, header, parts, size, deadline)
-
-    def receive(self, deadline: Deadline, begun: Deadline | None = None) -> Any:
-        """Return the next message.
-
-        Args:
-            deadline: By when it must have begun to come, and be complete unless `begun` says otherwise.
-            begun: By when it must be complete once it began, counted from then.
-
-        Raises:
-            DeadlineExceeded: It did not arrive in time.
-            BadMessage: The bytes are no message, or too many.
-            ConnectionLost: The other side has gone.
-        """
-        return self._guarded(self._receive, deadline, begun)
+        with self.guarded():
+            self._send_inline(header, parts, size, deadline)
 
     def wait(self, seconds: float | None) -> bool:
         """Wait until a message begins to come or the connection ends; return whether it did in that time [s]."""
@@ -75,14 +61,6 @@ class StreamChannel:
 
     def settled(self) -> None:
         """Say that every message which was sent has been read: there is an answer to each."""
-
-    def stop(self) -> None:
-        """End the connection from another thread, which leaves memory and files to the one that uses them."""
-        self._link.stop()
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._link.close()
 
     def _linked(self, connection: socket.socket) -> Link:
         return Link(connection)
@@ -96,8 +74,7 @@ class StreamChannel:
             raise BadMessage(f"A header of {len(header)} bytes is too large; valid are up to {LARGEST_HEADER}.")
 
     def _receive(self, deadline: Deadline, begun: Deadline | None) -> Any:
-        self._link.need(1, deadline)
-        rest = deadline if begun is None else Deadline(begun.seconds, "the rest of a message")
+        rest = self._begun(deadline, begun)
         return self._receive_body(self._link.take(PREFIX.size, rest), rest)
 
     def _receive_body(self, prefix: bytes, rest: Deadline) -> Any:
@@ -115,7 +92,7 @@ class StreamChannel:
         return unpack(header, body)
 
     def _room(self, size: int) -> NDArray[np.uint8]:
-        """Return memory for a body: that of the last one again, unless somebody keeps an array of it."""
+        """Return memory for a body: that of the last one again, unless an array of it is in use."""
         if size > KEPT:
             return np.empty(size, np.uint8)
         if len(self._body) < size or sys.getrefcount(self._body) > 2:
@@ -137,13 +114,5 @@ class StreamChannel:
         self._link.fill(memoryview(header), rest)
         return header
 
-    def _guarded(self, act: Callable[..., Any], *given: Any) -> Any:
-        """Call a function that uses the socket; any error closes it, and becomes one of ours."""
-        try:
-            return act(*given)
-        except VlagentsError:
-            self.close()
-            raise
-        except OSError as error:
-            self.close()
-            raise ConnectionLost(f"The connection broke: {error}.") from error
+    def _fail(self) -> None:
+        self.close()

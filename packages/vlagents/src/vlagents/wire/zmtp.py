@@ -1,9 +1,9 @@
 """ZeroMQ's requests and replies (ZMTP 3.0, RFC 23 of ZeroMQ), without encryption, over a socket with deadlines.
 
-A message is an empty frame and one with the content. ZeroMQ's own library keeps as many frames as somebody sends before
-it hands out the first, and takes what begins like an HTTP request of a page in a browser for a client of its version 2;
-here, sizes are compared with what is allowed before anything is allocated, and what does not begin as it should ends
-the connection.
+A message is an empty frame and one with the content. ZeroMQ's own library keeps any number of frames before it hands
+out the first, and takes what begins like an HTTP request of a page in a browser for a client of its version 2; here,
+sizes are compared with what is allowed before anything is allocated, and what does not begin as it should ends the
+connection.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import struct
 import numpy as np
 
 from vlagents.errors import BadMessage
-from vlagents.wire.link import Deadline, Link, closed_by_errors
+from vlagents.wire.link import Channel, Deadline, Link
 from vlagents.wire.stream import LARGEST_BODY
 
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
@@ -24,8 +24,8 @@ LARGEST_COMMAND = 255
 """Most bytes of what is no part of a message."""
 
 
-class ZmtpChannel:
-    """Requests and replies over a link. After any error it is closed, for it is out of step."""
+class ZmtpChannel(Channel):
+    """Requests and replies over a link."""
 
     def __init__(self, link: Link, *, is_client: bool, largest: int = LARGEST_BODY) -> None:
         """Take over a link, which is closed with the channel.
@@ -35,7 +35,8 @@ class ZmtpChannel:
             is_client: Whether this side sends requests.
             largest: Most bytes of a received message.
         """
-        self._link, self._is_client, self.largest = link, is_client, largest
+        super().__init__(link)
+        self._is_client, self.largest = is_client, largest
 
     def greet(self, deadline: Deadline) -> None:
         """Exchange greetings, before all else.
@@ -47,14 +48,14 @@ class ZmtpChannel:
         """
         own, theirs = (b"REQ", (b"REP", b"ROUTER")) if self._is_client else (b"ROUTER", (b"REQ", b"DEALER"))
         ready = b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(own)) + own
-        with closed_by_errors(self._link):
+        with self.guarded():
             self._link.send([memoryview(GREETING + bytes([COMMAND, len(ready)]) + ready)], deadline)
             begin = self._link.take(10, deadline)
             if begin[0] != 0xFF or not begin[9] & 1:
                 raise BadMessage(f"The other side begins with {begin!r}, which is not how ZeroMQ begins.")
             version, mechanism = self._link.take(1, deadline)[0], self._link.take(53, deadline)[1:21].rstrip(b"\0")
             if version < 3 or mechanism != b"NULL":
-                raise BadMessage(f"ZeroMQ's version {version} with {mechanism!r} came; valid is 3 with b'NULL'.")
+                raise BadMessage(f"ZeroMQ's version {version} with {mechanism!r}; valid is 3 with b'NULL'.")
             flags, count = self._head(deadline)
             said = self._link.take(count, deadline) if flags & COMMAND else b""
             kind = _properties(said).get(b"socket-type")
@@ -69,40 +70,19 @@ class ZmtpChannel:
             ConnectionLost: It has gone.
         """
         head = struct.pack(">BBBQ", MORE, 0, LONG, len(content))
-        with closed_by_errors(self._link):
+        with self.guarded():
             self._link.send([memoryview(head), memoryview(content)], deadline)
 
-    def receive(self, deadline: Deadline, begun: Deadline | None = None) -> memoryview:
-        """Return the next message, in memory of its own.
-
-        Args:
-            deadline: By when it must have begun to come, and be complete unless `begun` says otherwise.
-            begun: By when it must be complete once it began, counted from then.
-
-        Raises:
-            DeadlineExceeded: It did not arrive in time.
-            BadMessage: The bytes are no message, or too many.
-            ConnectionLost: The other side has gone.
-        """
-        with closed_by_errors(self._link):
-            self._link.need(1, deadline)
-            rest = deadline if begun is None else Deadline(begun.seconds, "the rest of a message")
-            if self._frame(rest) != (MORE, 0):
-                raise BadMessage("A message does not begin with an empty frame.")
-            flags, count = self._frame(rest)
-            if flags & MORE:
-                raise BadMessage("A message has more than one frame behind the empty one.")
-            body = np.empty(count, np.uint8)
-            self._link.fill(body.data, rest)
-            return body.data
-
-    def stop(self) -> None:
-        """End the connection from another thread."""
-        self._link.stop()
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._link.close()
+    def _receive(self, deadline: Deadline, begun: Deadline | None) -> memoryview:
+        rest = self._begun(deadline, begun)
+        if self._frame(rest) != (MORE, 0):
+            raise BadMessage("A message does not begin with an empty frame.")
+        flags, count = self._frame(rest)
+        if flags & MORE:
+            raise BadMessage("A message has more than one frame behind the empty one.")
+        body = np.empty(count, np.uint8)
+        self._link.fill(body.data, rest)
+        return body.data
 
     def _frame(self, deadline: Deadline) -> tuple[int, int]:
         """Take the head of the next frame of a message; return whether more follow, and its length."""

@@ -1,0 +1,162 @@
+"""The wire of vla-eval: its benchmarks are clients, over a websocket of msgpack, and our policies answer.
+
+Layout as in vla-eval's `protocol/`: a message is `{"type", "payload", "seq", "timestamp"}`. `hello` is answered by
+`hello`; `episode_start` has the task; the payload of `observation` is `{"images": {camera: uint8 (H, W, 3)},
+"task_description": str, part: numbers (n,)}`, and is answered by `action`, `{"actions": float32 (size,)}`, with its
+number, or by `error`. An array is `{"__ndarray__", "data", "dtype", "shape"}`, an image `{"__image__", "format",
+"data", "shape"}` with a PNG, a JPEG or raw bytes. An observation gets one action: the rows of a chunk answer as many.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import logging
+import math
+import time
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlagents.errors import BadMessage, InvalidInput, Unauthorized, VlagentsError
+from vlagents.jpeg import LARGEST
+from vlagents.observation import Observation
+from vlagents.wire import bulk
+from vlagents.wire.frames import FrameChannel
+from vlagents.wire.handshake import accept
+from vlagents.wire.link import Deadline, Link
+from vlagents.wire.message import array_of, encode
+from vlagents.wire_server import BEGIN, Guest, WireServer
+
+_log = logging.getLogger(__name__)
+
+PROTOCOL = 1
+"""Version of the messages."""
+INSTRUCTION = "task_description"
+
+
+class VlaEvalServer(WireServer):
+    """Answers the benchmarks of vla-eval with a policy; each connection has a session of its own.
+
+    The policy's images and parts of the state have the benchmark's names. A token is sent as `Authorization: Bearer
+    TOKEN`, which vla-eval's client does not do: serve it on the benchmark's machine.
+    """
+
+    schemes = ("ws", None)
+
+    def _open(self, guest: Guest) -> FrameChannel | None:
+        link = Link(guest.connection)
+        if not accept(link, Deadline(BEGIN, "a request"), lambda request: self._admit(guest, request)):
+            return None
+        self._rows[guest] = deque()
+        return FrameChannel(link, is_client=False, largest=self._largest)
+
+    def _admit(self, guest: Guest, request: Any) -> tuple[int, str] | None:
+        if request.path == "/health":
+            return 200, '{"status": "ok"}\n'
+        kind, _, token = (request.headers.get_all("Authorization") or [""])[-1].partition(" ")
+        try:
+            self.service.admit(guest, token if kind == "Bearer" else "")
+        except Unauthorized as error:
+            return 401, f"{error}\n"
+        return None
+
+    def _start_more(self) -> None:
+        self._rows: WeakKeyDictionary[Guest, deque[NDArray[np.float32]]] = WeakKeyDictionary()
+
+    def _answer_one(self, guest: Guest, channel: FrameChannel) -> None:
+        message = channel.receive(Deadline(None, ""), self._rest())
+        values = None if isinstance(message, str) else bulk.unpack(message, _from_map)
+        if not isinstance(values, Mapping) or not isinstance(values.get("payload"), Mapping):
+            raise BadMessage("This is no message of vla-eval: a dictionary with type, payload, seq and timestamp.")
+        kind, number = values.get("type"), values.get("seq")
+        try:
+            found = self._answer(guest, kind, values["payload"])
+        except Exception as error:  # noqa: BLE001  the benchmark counts the episode as an error and goes on
+            if not isinstance(error, VlagentsError):
+                _log.exception("The policy failed to answer %s", guest.name)
+            found = "error", {"error": f"{type(error).__name__}: {error}"}
+        if found is not None:
+            answer = {"type": found[0], "payload": found[1], "seq": number, "timestamp": time.time()}
+            channel.send([encode(answer, _array_to_map, lambda scalar: scalar.item())], self._rest())
+
+    def _answer(self, guest: Guest, kind: object, payload: Mapping[str, Any]) -> tuple[str, dict[str, Any]] | None:
+        metadata, rows = self.service.metadata, self._rows[guest]
+        if kind == "hello":
+            from vlagents import __version__
+
+            hello = {"harness_version": f"vlagents {__version__}", "protocol_version": PROTOCOL}
+            # Benchmarks that have such options show what the policy needs.
+            shown = {
+                "send_state": bool(metadata.state),
+                "send_wrist_image": any("wrist" in i.name for i in metadata.images),
+            }
+            return "hello", {**hello, "model_server": metadata.name, "capabilities": {}, "observation_params": shown}
+        if kind == "episode_start":
+            rows.clear()
+            task = payload.get("task")
+            self.service.reset(guest, "", str(task.get("name", "")) if isinstance(task, Mapping) else "", None, None)
+            return None
+        if kind == "observation":
+            if not rows:
+                rows.extend(np.asarray(self.service.infer(guest, _observation(payload))["actions"], np.float32))
+            return "action", {"actions": rows.popleft()}
+        if kind in ("episode_end", "error"):
+            return None
+        raise InvalidInput(
+            f"A message is of the type {kind!r:.40}; valid: hello, episode_start, observation, episode_end."
+        )
+
+
+def _observation(payload: Mapping[str, Any]) -> Observation:
+    images = payload.get("images")
+    instruction = payload.get(INSTRUCTION, "")
+    state = {
+        str(name): np.asarray(value, np.float64)
+        for name, value in payload.items()
+        if isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "fiub"
+    }
+    return Observation(
+        dict(images) if isinstance(images, Mapping) else {}, state, instruction if isinstance(instruction, str) else ""
+    )
+
+
+def _array_to_map(array: NDArray[Any]) -> dict[str, Any]:
+    return {"__ndarray__": True, "data": array.tobytes(), "dtype": array.dtype.str, "shape": list(array.shape)}
+
+
+def _from_map(found: dict[Any, Any]) -> Any:
+    if "__image__" in found and found.get("format") != "raw":
+        return _picture(found.get("data"))
+    if "__ndarray__" not in found and "__image__" not in found:
+        return found
+    data = found.get("data")
+    if not isinstance(data, (bytes, memoryview)):
+        raise BadMessage("An array has no bytes.")
+    return array_of(data, found.get("dtype"), found.get("shape")).copy()
+
+
+def _picture(data: object) -> NDArray[np.uint8]:
+    """Return the image of a PNG or a JPEG, whose size is checked before it is decompressed.
+
+    Raises:
+        BadMessage: It is none, is too large, or Pillow is not installed.
+    """
+    if not isinstance(data, (bytes, memoryview)):
+        raise BadMessage("An image has no bytes.")
+    try:
+        pillow = importlib.import_module("PIL.Image")
+    except ImportError:
+        raise BadMessage("Pillow, which decodes images, is not installed; `pip install pillow`.") from None
+    try:
+        picture = pillow.open(io.BytesIO(data), formats=("PNG", "JPEG"))
+        array = None if math.prod(picture.size) > LARGEST else np.array(picture.convert("RGB"))
+    except Exception as error:
+        raise BadMessage(f"An image of {len(data)} bytes cannot be decoded: {error}.") from error
+    if array is None:
+        raise BadMessage(f"An image has {picture.width} x {picture.height} pixels; valid are up to {LARGEST}.")
+    return array

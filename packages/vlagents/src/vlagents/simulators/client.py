@@ -1,0 +1,111 @@
+"""A simulator at an address: episodes and steps over the wire of policies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vlagents.client import Client
+from vlagents.errors import BadMessage, InvalidInput
+from vlagents.metadata import Offer
+from vlagents.observation import Observation
+from vlagents.simulators.interface import Facts, Moment
+from vlagents.simulators.mapping import SimulatorMapping
+from vlagents.wire.calls import observation_from_values
+
+
+class SimulatorClient:
+    """Opens a served simulator with a mapping, and runs episodes in it.
+
+    Example:
+        >>> with SimulatorClient("vla://127.0.0.1:8090") as simulator:  # doctest: +SKIP
+        ...     moment = simulator.begin(seed=0)
+        ...     while not moment.is_over:
+        ...         moment = simulator.advance(policy(moment.observation))
+    """
+
+    def __init__(self, address: str, mapping: SimulatorMapping | None = None, **options: Any) -> None:
+        """Connect and open it.
+
+        Args:
+            address: `vla://host:port` or `vlas://host:port`.
+            mapping: The mapping; None for the simulator's own.
+            options: As of `RemotePolicy`; `timeout` holds for every call [s].
+
+        Raises:
+            InvalidInput: What is at the address is no simulator, or the mapping does not fit it; the message has all
+                differences.
+            ConnectionLost: No server is there.
+            DeadlineExceeded: It does not answer.
+            Unauthorized: The token is wrong.
+        """
+        self._client = Client(address, **options)
+        try:
+            self.facts = Facts.from_dict(self._client.call("facts").get("facts"))
+            """What the simulator says about itself."""
+            self.mapping = mapping or self.facts.mapping
+            """The mapping between the simulator and policies."""
+            self._opened = self._client.call("open", mapping=self.mapping.to_dict()).get("opened")
+        except BaseException:
+            self._client.close()
+            raise
+
+    @property
+    def offer(self) -> Offer:
+        """What a policy is shown and may command."""
+        return self.mapping.offer(self.facts)
+
+    def begin(self, seed: int) -> Moment:
+        """Begin an episode; the same seed begins the same one.
+
+        Raises:
+            ConnectionLost: The simulator has gone.
+            DeadlineExceeded: It did not answer in time.
+            PolicyFailed: It raised an error.
+            InvalidInput: It sent a number that is not finite.
+        """
+        return self._moment(self._client.call("begin", opened=self._opened, seed=seed))
+
+    def advance(self, action: ArrayLike) -> Moment:
+        """Make a step; errors are those of `begin`.
+
+        Args:
+            action: Numbers of the mapping's parts, side by side.
+        """
+        return self._moment(self._client.call("advance", opened=self._opened, action=np.asarray(action, np.float64)))
+
+    def close(self) -> None:
+        """End the connection; the server goes on. A second call does nothing."""
+        self._client.close()
+
+    def _moment(self, values: Mapping[str, Any]) -> Moment:
+        seen, success = observation_from_values(values.get("observation")), values.get("success")
+        reward, is_over = values.get("reward"), values.get("is_over")
+        if not isinstance(reward, float) or success not in (True, False, None) or not isinstance(is_over, bool):
+            raise BadMessage(
+                f"The simulator sent reward {reward!r:.40}, success {success!r:.40}, is_over {is_over!r:.40}."
+            )
+        offer = self.offer
+        sizes = {part.name: part.size for part in offer.state}
+        if {name: len(part) for name, part in seen.state.items()} != sizes:
+            raise InvalidInput(f"The simulator sent the state {sorted(seen.state)}; announced are {sizes}.")
+        shapes = {image.name: (image.height, image.width, 3) for image in offer.images}
+        images = {name: np.array(seen.image(name)) for name in seen.images}  # the wire's memory is used again
+        if {name: image.shape for name, image in images.items()} != shapes:
+            raise InvalidInput(f"The simulator sent images {sorted(images)}; announced are {shapes}.")
+        state = {name: np.array(part) for name, part in seen.state.items()}
+        return Moment(Observation(images, state, seen.instruction, time=seen.time), reward, success, is_over)
+
+    def __enter__(self) -> SimulatorClient:
+        """Return the client, which is closed at the end of the block."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
