@@ -31,7 +31,11 @@ struct PyKinematics : rcs::Kinematics {
   }
   rcs::IkResult inverse(const rcs::Pose& target, std::span<const double> start,
                         const rcs::IkOptions& options) override {
-    return call_override<rcs::IkResult>(nb_trampoline, "_inverse", "an IkResult", target, start, options);
+    const HeldGil gil;
+    constexpr const char* name = "_inverse";
+    if (!PyObject_HasAttrString(nb_trampoline.base().type().ptr(), name))
+      return rcs::Kinematics::inverse(target, start, options);
+    return call_override<rcs::IkResult>(nb_trampoline, name, "an IkResult", target, start, options);
   }
   std::vector<double> jacobian(std::span<const double> joints) override {
     const HeldGil gil;
@@ -233,9 +237,8 @@ void bind_kinematics(nb::module_& m) {
   nb::class_<rcs::Kinematics, PyKinematics>(
       m, "Kinematics",
       "Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, "
-      "`_joint_lower`, `_joint_upper`, `_forward(joints)` and `_inverse(target, start, options)`, and where they have "
-      "a "
-      "better one than finite differences `_jacobian(joints)`.")
+      "`_joint_lower`, `_joint_upper` and `_forward(joints)`; where they have a better one than finite differences, "
+      "`_jacobian(joints)`, and than damped least squares, `_inverse(target, start, options)`.")
       .def(nb::init<>())
       .def_prop_ro("dof", &rcs::Kinematics::dof)
       .def_prop_ro(

@@ -130,14 +130,15 @@ Calls may come from any thread; they wait for each other and run without the GIL
       .def(
           "__init__",
           [](rcs::Renderer* self, const PyModel& given, const std::string& quality, int max_width, int max_height,
-             const std::string& backend, const Groups& geom_groups) {
-            const rcs::RenderOptions chosen = render_options(quality, max_width, max_height, backend, geom_groups);
+             const std::string& backend, const Groups& geom_groups, bool is_rasterised) {
+            const rcs::RenderOptions chosen =
+                render_options(quality, max_width, max_height, backend, geom_groups, is_rasterised);
             const mjModel* model = given.get();
             const ReleasedGil unlocked;
             new (self) rcs::Renderer(model, chosen);
           },
           nb::keep_alive<1, 2>(), "model"_a, nb::kw_only(), "quality"_a = "fast", "max_width"_a = 640,
-          "max_height"_a = 480, "backend"_a = "auto", "geom_groups"_a = kShown,
+          "max_height"_a = 480, "backend"_a = "auto", "geom_groups"_a = kShown, "is_rasterised"_a = false,
           R"(Make the OpenGL objects of a model, which is not changed.
 
 Args:
@@ -147,6 +148,8 @@ Args:
     max_height: Largest height of a picture [pixels].
     backend: "auto" (EGL, else OSMesa), "egl" or "osmesa"; one per process.
     geom_groups: Which of the six groups of geoms are drawn; 3 to 5 are collision shapes by custom.
+    is_rasterised: Draw colours without OpenGL in quality "fast", where OpenGL has no graphics card and the scene has neither
+        textures, soft bodies nor height fields; depth and ids are drawn with it. Colours look the same but for rounding.
 
 Raises:
     ValueError: An argument is not valid.
@@ -205,14 +208,16 @@ The pictures are those of a single `Renderer`, bit for bit. Calls run without th
       .def(
           "__init__",
           [](rcs::RenderPool* self, const PyModel& given, int threads, const std::string& quality, int max_width,
-             int max_height, const std::string& backend, const Groups& geom_groups) {
-            const rcs::RenderOptions chosen = render_options(quality, max_width, max_height, backend, geom_groups);
+             int max_height, const std::string& backend, const Groups& geom_groups, bool is_rasterised) {
+            const rcs::RenderOptions chosen =
+                render_options(quality, max_width, max_height, backend, geom_groups, is_rasterised);
             const mjModel* model = given.get();
             const ReleasedGil unlocked;
             new (self) rcs::RenderPool(model, threads, chosen);
           },
           nb::keep_alive<1, 2>(), "model"_a, "threads"_a, nb::kw_only(), "quality"_a = "fast", "max_width"_a = 640,
-          "max_height"_a = 480, "backend"_a = "auto", "geom_groups"_a = kShown, R"(Make one renderer for each thread.
+          "max_height"_a = 480, "backend"_a = "auto", "geom_groups"_a = kShown, "is_rasterised"_a = false,
+          R"(Make one renderer for each thread.
 
 Args:
     model: The scene; the pool keeps it alive.
@@ -222,6 +227,7 @@ Args:
     max_height: Largest height of a picture [pixels].
     backend: "auto", "egl" or "osmesa".
     geom_groups: Which of the six groups of geoms are drawn.
+    is_rasterised: Whether colours are drawn without OpenGL.
 
 Raises:
     ValueError: An argument is not valid.

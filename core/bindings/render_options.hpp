@@ -14,8 +14,10 @@ using Groups = std::array<bool, mjNGROUP>;
 inline constexpr Groups kShown = {true, true, true, false, false, false};
 
 inline rcs::RenderOptions render_options(const std::string& quality, int max_width, int max_height,
-                                         const std::string& backend, const Groups& geom_groups) {
+                                         const std::string& backend, const Groups& geom_groups,
+                                         bool is_rasterised = false) {
   if (quality != "fast" && quality != "full")
     throw std::invalid_argument("there is no quality \"" + quality + "\"; known: fast, full");
-  return {quality == "fast" ? rcs::Quality::fast : rcs::Quality::full, max_width, max_height, backend, geom_groups};
+  const rcs::Quality level = quality == "fast" ? rcs::Quality::fast : rcs::Quality::full;
+  return {level, max_width, max_height, backend, geom_groups, is_rasterised};
 }

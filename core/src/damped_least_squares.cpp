@@ -36,13 +36,21 @@ double next_uniform(std::uint64_t& state) {
   return static_cast<double>((z ^ (z >> 31)) >> 11) * 0x1.0p-53;
 }
 
-}  // namespace
+// An arm at some joints, and what a solve computes in.
+struct Workspace {
+  explicit Workspace(std::size_t dof)
+      : jacobian(dof), step(dof), candidate(dof), is_free(dof), lower(dof), upper(dof) {}
+  virtual ~Workspace() = default;
+  Workspace(const Workspace&) = delete;
+  Workspace& operator=(const Workspace&) = delete;
 
-struct DampedLeastSquares::Scratch {
-  explicit Scratch(std::size_t dof)
-      : place(dof), jacobian(dof), step(dof), candidate(dof), is_free(dof), lower(dof), upper(dof) {}
+  // Lead the joints to positions [rad, m], and the TCP with them.
+  virtual void put(std::span<const double> joints) = 0;
+  // Write the Jacobian of the joints that `put` had last.
+  virtual void differentiate() = 0;
 
-  ChainPlace place;
+  std::array<double, 3> translation{};              // of the TCP in the base frame [m]
+  std::array<double, 4> quaternion{1, 0, 0, 0};     // likewise, wxyz
   std::vector<std::array<double, kTask>> jacobian;  // a column per joint: translation, then rotation
   std::array<double, kTask> error{};                // from the joints of the Jacobian to the target
   std::vector<double> step;                         // rad
@@ -51,88 +59,33 @@ struct DampedLeastSquares::Scratch {
   std::vector<double> lower, upper;                 // rad, the range of this solve
 };
 
-DampedLeastSquares::DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body)
-    : joints_(std::move(joints)) {
-  if (tcp_site < 0 || tcp_site >= model->nsite || base_body < 0 || base_body >= model->nbody)
-    throw InvalidSetup("inverse kinematics: the TCP site or the base body is not in the model");
-  if (joints_.empty()) throw InvalidSetup("inverse kinematics: no joints given");
-  for (const int joint : joints_) {
-    if (joint < 0 || joint >= model->njnt)
-      throw InvalidSetup("inverse kinematics: joint id " + std::to_string(joint) + " is not in the model");
-    if (model->jnt_type[joint] != mjJNT_HINGE && model->jnt_type[joint] != mjJNT_SLIDE)
-      throw InvalidSetup("inverse kinematics: only hinge and slide joints are supported");
-    const bool is_limited = model->jnt_limited[joint] != 0;
-    lower_.push_back(is_limited ? model->jnt_range[2 * joint] : -2 * mjPI);
-    upper_.push_back(is_limited ? model->jnt_range[2 * joint + 1] : 2 * mjPI);
-  }
-  chain_ = std::make_unique<const SerialChain>(model, joints_, tcp_site, base_body);
-  borrow();
-}
+// How an attempt ended.
+enum class End : std::uint8_t { reached, at_max_step, nearest };
 
-DampedLeastSquares::~DampedLeastSquares() = default;
+// How much of a step to make.
+struct Stride {
+  double largest = 0.0;     // entry of the whole step [rad]
+  double scale = 1.0;       // share to make
+  double stiffness = 0.0;   // smallest squared change of the error per squared radian, when the share is below 1
+  bool is_at_edge = false;  // whether that share ends at the largest change from the start
+};
 
-DampedLeastSquares::Lease DampedLeastSquares::borrow() const {
-  {
-    const std::lock_guard lock(mutex_);
-    if (!unused_.empty()) {
-      Lease lease(unused_.back().release(), GiveBack{this});
-      unused_.pop_back();
-      return lease;
-    }
-    unused_.reserve(++scratch_count_);  // giving back must not fail
-  }
-  return Lease(new Scratch(joints_.size()), GiveBack{this});
-}
-
-void DampedLeastSquares::GiveBack::operator()(Scratch* scratch) const {
-  const std::lock_guard lock(owner->mutex_);
-  owner->unused_.emplace_back(scratch);
-}
-
-void DampedLeastSquares::check_options(const IkOptions& options) const {
-  const std::size_t n = joints_.size();
-  for (const auto* rows : {&options.max_step, &options.preferred})
-    if (!rows->empty() && rows->size() != n)
-      throw InvalidSetup("inverse kinematics: max_step and preferred must have one entry for each of the " +
-                         std::to_string(n) + " joints or none, one has " + std::to_string(rows->size()));
-}
-
-Pose DampedLeastSquares::forward(std::span<const double> joints) {
-  check_joints(joints);
-  const Lease scratch = borrow();
-  chain_->put(joints, scratch->place);
-  const auto& quat = scratch->place.quaternion;
-  return Pose(scratch->place.translation, {quat[1], quat[2], quat[3], quat[0]});
-}
-
-std::vector<double> DampedLeastSquares::jacobian(std::span<const double> joints) {
-  check_joints(joints);
-  const Lease scratch = borrow();
-  chain_->put(joints, scratch->place);
-  const std::size_t n = joints_.size();
-  std::vector<double> jacobian(kTask * n);
-  for (std::size_t c = 0; c < n; ++c) {
-    const auto column = chain_->column(scratch->place, c);
-    for (std::size_t r = 0; r < kTask; ++r) jacobian[r * n + c] = column[r];
-  }
-  return jacobian;
-}
-
-std::array<double, kTask> DampedLeastSquares::error_to(const Scratch& scratch, const std::array<double, 7>& target) {
+// Translation [m] and rotation (as a rotation vector [rad]) from the present TCP to the target: position and
+// quaternion wxyz in the base frame.
+std::array<double, kTask> error_to(const Workspace& scratch, const std::array<double, 7>& target) {
   std::array<double, kTask> error;
-  mju_sub3(error.data(), target.data(), scratch.place.translation.data());
+  mju_sub3(error.data(), target.data(), scratch.translation.data());
   double inverse[4], difference[4];
-  mju_negQuat(inverse, scratch.place.quaternion.data());
+  mju_negQuat(inverse, scratch.quaternion.data());
   mju_mulQuat(difference, target.data() + 3, inverse);
   mju_quat2Vel(error.data() + 3, difference, 1.0);
   return error;
 }
 
-DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, const std::vector<double>& q,
-                                                          const std::vector<double>& start,
-                                                          std::span<const double> max_step, const IkOptions& options,
-                                                          double weight, double damping) const {
-  const int n = dof();
+// Write the step from the present Jacobian to `step`; joints that it would take past a limit go up to it.
+Stride solve_step(Workspace& scratch, const std::vector<double>& q, const std::vector<double>& start,
+                  std::span<const double> max_step, const IkOptions& options, double weight, double damping) {
+  const int n = static_cast<int>(q.size());
   const double furthest = !options.best_effort ? kMaxJointStep : max_step.empty() ? kFollowStep : kBoundedStep;
   const auto column = [&](int c, std::array<double, kTask>& entries) {
     entries = scratch.jacobian[static_cast<std::size_t>(c)];
@@ -217,7 +170,8 @@ DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, cons
   }
 }
 
-double DampedLeastSquares::promised(const Scratch& scratch, double weight, double scale) {
+// Decrease of the squared weighted error by a share of `step`, if the Jacobian held all along.
+double promised(const Workspace& scratch, double weight, double scale) {
   std::array<double, kTask> left = scratch.error;
   for (std::size_t c = 0; c < scratch.jacobian.size(); ++c)
     for (int r = 0; r < kTask; ++r) left[r] -= scale * scratch.jacobian[c][r] * scratch.step[c];
@@ -227,14 +181,14 @@ double DampedLeastSquares::promised(const Scratch& scratch, double weight, doubl
   return std::max(decrease, 0.0);
 }
 
-DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std::array<double, 7>& target,
-                                                    std::vector<double>& q, std::span<const double> max_step,
-                                                    const IkOptions& options, IkResult& result) const {
-  const int n = dof();
+// Take `q` towards the target, by `max_step` at most; empty for no bound. Errors and iterations go into `result`.
+End attempt(Workspace& scratch, const std::array<double, 7>& target, std::vector<double>& q,
+            std::span<const double> max_step, const IkOptions& options, IkResult& result) {
+  const int n = static_cast<int>(q.size());
   const bool is_relaxed = options.rotation_weight < 1.0;
   const std::vector<double> start = q;
   std::vector<double>& candidate = scratch.candidate;
-  chain_->put(q, scratch.place);
+  scratch.put(q);
   scratch.error = error_to(scratch, target);
   double translation = norm3(scratch.error.data()), rotation = norm3(scratch.error.data() + 3);
   // What the target leaves as it is weighs most; an arm that meets the translation alone does not turn its tool far for
@@ -256,8 +210,7 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
     if (is_reached && (!is_relaxed || largest < standstill || iteration == options.iterations)) end = End::reached;
     if (end != End::nearest || largest < standstill || iteration == options.iterations) break;
     ++result.iterations;
-    for (std::size_t c = 0; is_new && c < scratch.jacobian.size(); ++c)
-      scratch.jacobian[c] = chain_->column(scratch.place, c);
+    if (is_new) scratch.differentiate();
     Stride stride = solve_step(scratch, q, start, max_step, options, weight, damping);
     // Where the arm is nearly stretched, the part of the error that it cannot follow would use up the step.
     if (options.best_effort && stride.scale < 1.0 && stride.stiffness < kStretched) {
@@ -268,7 +221,7 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
     largest = stride.largest;
     for (int c = 0; c < n; ++c)
       candidate[c] = std::clamp(q[c] + stride.scale * scratch.step[c], scratch.lower[c], scratch.upper[c]);
-    chain_->put(candidate, scratch.place);
+    scratch.put(candidate);
     const std::array<double, kTask> error = error_to(scratch, target);
     const double new_translation = norm3(error.data()), new_rotation = norm3(error.data() + 3);
     const double cost = translation * translation + weight * weight * rotation * rotation;
@@ -290,18 +243,17 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
   return end;
 }
 
-IkResult DampedLeastSquares::inverse(const Pose& target, std::span<const double> start, const IkOptions& options) {
-  check_joints(start);
-  check_options(options);
-  const int n = dof();
+// Look for joints of a target from a start, within limits.
+IkResult solve(Workspace& scratch, const std::vector<double>& lower, const std::vector<double>& upper,
+               const Pose& target, std::span<const double> start, const IkOptions& options) {
+  const int n = static_cast<int>(start.size());
   IkResult result;
   result.joints.assign(start.begin(), start.end());
-  const Lease scratch = borrow();
   for (int i = 0; i < n; ++i) {
     // A joint that is found outside is followed from where it is.
-    scratch->lower[i] = options.best_effort ? std::min(lower_[i], start[i]) : lower_[i];
-    scratch->upper[i] = options.best_effort ? std::max(upper_[i], start[i]) : upper_[i];
-    result.joints[i] = std::clamp(start[i], scratch->lower[i], scratch->upper[i]);
+    scratch.lower[i] = options.best_effort ? std::min(lower[i], start[i]) : lower[i];
+    scratch.upper[i] = options.best_effort ? std::max(upper[i], start[i]) : upper[i];
+    result.joints[i] = std::clamp(start[i], scratch.lower[i], scratch.upper[i]);
   }
   const auto& translation = target.translation();
   const auto& quaternion = target.quaternion();
@@ -311,12 +263,12 @@ IkResult DampedLeastSquares::inverse(const Pose& target, std::span<const double>
   std::vector<double> q = result.joints, followed;
   const std::span<const double> bound = options.best_effort ? std::span(options.max_step) : std::span<const double>();
   std::uint64_t random = options.seed;
-  End end = attempt(*scratch, goal, q, bound, options, result);
+  End end = attempt(scratch, goal, q, bound, options, result);
   if (options.best_effort) followed = q;
   double best_translation = result.translation_error, best_rotation = result.rotation_error;
   for (int restart = 0; end == End::nearest && restart < options.restarts; ++restart) {
-    for (int i = 0; i < n; ++i) q[i] = lower_[i] + (upper_[i] - lower_[i]) * next_uniform(random);
-    end = attempt(*scratch, goal, q, {}, options, result);
+    for (int i = 0; i < n; ++i) q[i] = lower[i] + (upper[i] - lower[i]) * next_uniform(random);
+    end = attempt(scratch, goal, q, {}, options, result);
     if (result.translation_error + result.rotation_error < best_translation + best_rotation) {
       best_translation = result.translation_error;
       best_rotation = result.rotation_error;
@@ -337,6 +289,118 @@ IkResult DampedLeastSquares::inverse(const Pose& target, std::span<const double>
   for (int i = 0; i < n; ++i) result.joints[i] = is_far ? result.joints[i] + share * (q[i] - result.joints[i]) : q[i];
   result.status = is_far || end == End::at_max_step ? IkStatus::clamped : IkStatus::ok;
   return result;
+}
+
+// Any kinematics at some joints.
+struct Called final : Workspace {
+  explicit Called(Kinematics& kinematics, std::size_t dof) : Workspace(dof), kinematics(kinematics), joints(dof) {}
+
+  void put(std::span<const double> given) override {
+    joints.assign(given.begin(), given.end());
+    const Pose pose = kinematics.forward(joints);
+    const auto& q = pose.quaternion();
+    translation = pose.translation();
+    quaternion = {q[3], q[0], q[1], q[2]};
+  }
+  void differentiate() override {
+    const std::vector<double> rows = kinematics.jacobian(joints);
+    const std::size_t n = joints.size();
+    for (std::size_t c = 0; c < n; ++c)
+      for (std::size_t r = 0; r < kTask; ++r) jacobian[c][r] = rows[r * n + c];
+  }
+
+  Kinematics& kinematics;
+  std::vector<double> joints;
+};
+
+}  // namespace
+
+IkResult Kinematics::inverse(const Pose& target, std::span<const double> start, const IkOptions& options) {
+  check_joints(start);
+  check_options(options);
+  Called scratch(*this, start.size());
+  return solve(scratch, joint_lower(), joint_upper(), target, start, options);
+}
+
+struct DampedLeastSquares::Scratch final : Workspace {
+  explicit Scratch(const SerialChain& chain, std::size_t dof) : Workspace(dof), chain(chain), place(dof) {}
+
+  void put(std::span<const double> joints) override {
+    chain.put(joints, place);
+    translation = place.translation;
+    quaternion = place.quaternion;
+  }
+  void differentiate() override {
+    for (std::size_t c = 0; c < jacobian.size(); ++c) jacobian[c] = chain.column(place, c);
+  }
+
+  const SerialChain& chain;
+  ChainPlace place;
+};
+
+DampedLeastSquares::DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body)
+    : joints_(std::move(joints)) {
+  if (tcp_site < 0 || tcp_site >= model->nsite || base_body < 0 || base_body >= model->nbody)
+    throw InvalidSetup("inverse kinematics: the TCP site or the base body is not in the model");
+  if (joints_.empty()) throw InvalidSetup("inverse kinematics: no joints given");
+  for (const int joint : joints_) {
+    if (joint < 0 || joint >= model->njnt)
+      throw InvalidSetup("inverse kinematics: joint id " + std::to_string(joint) + " is not in the model");
+    if (model->jnt_type[joint] != mjJNT_HINGE && model->jnt_type[joint] != mjJNT_SLIDE)
+      throw InvalidSetup("inverse kinematics: only hinge and slide joints are supported");
+    const bool is_limited = model->jnt_limited[joint] != 0;
+    lower_.push_back(is_limited ? model->jnt_range[2 * joint] : -2 * mjPI);
+    upper_.push_back(is_limited ? model->jnt_range[2 * joint + 1] : 2 * mjPI);
+  }
+  chain_ = std::make_unique<const SerialChain>(model, joints_, tcp_site, base_body);
+  borrow();
+}
+
+DampedLeastSquares::~DampedLeastSquares() = default;
+
+DampedLeastSquares::Lease DampedLeastSquares::borrow() const {
+  {
+    const std::lock_guard lock(mutex_);
+    if (!unused_.empty()) {
+      Lease lease(unused_.back().release(), GiveBack{this});
+      unused_.pop_back();
+      return lease;
+    }
+    unused_.reserve(++scratch_count_);  // giving back must not fail
+  }
+  return Lease(new Scratch(*chain_, joints_.size()), GiveBack{this});
+}
+
+void DampedLeastSquares::GiveBack::operator()(Scratch* scratch) const {
+  const std::lock_guard lock(owner->mutex_);
+  owner->unused_.emplace_back(scratch);
+}
+
+Pose DampedLeastSquares::forward(std::span<const double> joints) {
+  check_joints(joints);
+  const Lease scratch = borrow();
+  scratch->put(joints);
+  const auto& quat = scratch->quaternion;
+  return Pose(scratch->translation, {quat[1], quat[2], quat[3], quat[0]});
+}
+
+std::vector<double> DampedLeastSquares::jacobian(std::span<const double> joints) {
+  check_joints(joints);
+  const Lease scratch = borrow();
+  scratch->put(joints);
+  const std::size_t n = joints_.size();
+  std::vector<double> jacobian(kTask * n);
+  scratch->differentiate();
+  for (std::size_t c = 0; c < n; ++c)
+    for (std::size_t r = 0; r < kTask; ++r) jacobian[r * n + c] = scratch->jacobian[c][r];
+  return jacobian;
+}
+
+IkResult DampedLeastSquares::inverse(const Pose& target, std::span<const double> start, const IkOptions& options) {
+  check_joints(start);
+  check_options(options);
+  const Lease scratch = borrow();
+  return solve(*scratch, lower_, upper_, target, start, options);
 }
 
 void DampedLeastSquares::inverse_batch(std::span<const double> targets, std::span<const double> starts,

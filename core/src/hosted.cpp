@@ -57,13 +57,15 @@ std::string how_it_ended(int process) {
 /// One connection to a host.
 class HostLink {
  public:
-  HostLink(Device& device, const HostConnection& connection, double answer)
+  /// With `is_recovering`, faults are not told before `recover`.
+  HostLink(Device& device, const HostConnection& connection, double answer, bool is_recovering = false)
       : device_(device),
         answer_(answer),
         socket_(connection.socket),
         process_(connection.process),
         process_file_(open_process(connection.process)),
-        memory_(mapped(connection)) {
+        memory_(mapped(connection)),
+        is_recovering_(is_recovering) {
     memory_->sign_of_program = host_clock();
     thread_ = std::thread([this] { look_after(); });
   }
@@ -263,7 +265,7 @@ class HostLink {
   HostMemory* const memory_;
   std::uint32_t asked_ = 0;
   std::atomic<std::uint32_t> seen_ = 0;  // changes of the host's fault that the device was told of
-  std::atomic<bool> is_recovering_ = false;
+  std::atomic<bool> is_recovering_;
   std::atomic<std::uint32_t> late_ = 0;  // the command whose end nobody waits for
   std::atomic<bool> is_lost_ = false;
   std::atomic<bool> ends_ = false;
@@ -305,13 +307,12 @@ void HostLine::hold() {
 }
 
 void HostLine::recover() {
-  const auto link = this->link();
-  if (!link->is_lost()) {
-    link->recover();
-    return;
+  auto link = this->link();
+  if (link->is_lost()) {
+    link = std::make_shared<HostLink>(device_, connect_(), answer_, true);  // if it throws, the lost one stays
+    exchange(link);
   }
-  exchange(nullptr);
-  open();
+  link->recover();  // a new host, too: its device may be in the fault state that the end of the last one led to
 }
 
 void HostLine::guide() { link()->ask(HostCall::guide); }

@@ -22,6 +22,14 @@ void Kinematics::check_joints(std::span<const double> joints) const {
     if (!std::isfinite(q)) throw InvalidSetup("kinematics: a joint is not finite");
 }
 
+void Kinematics::check_options(const IkOptions& options) const {
+  const auto n = static_cast<std::size_t>(dof());
+  for (const auto* rows : {&options.max_step, &options.preferred})
+    if (!rows->empty() && rows->size() != n)
+      throw InvalidSetup("inverse kinematics: max_step and preferred must have one entry for each of the " +
+                         std::to_string(n) + " joints or none, one has " + std::to_string(rows->size()));
+}
+
 std::vector<double> Kinematics::jacobian(std::span<const double> joints) {
   check_joints(joints);
   const std::size_t n = joints.size();

@@ -61,16 +61,16 @@ void Rasteriser::Lit::resize(std::size_t size) {
   for (auto* values : {&x, &y, &z, &nx, &ny, &nz, &red, &green, &blue}) values->resize(size);
 }
 
-Rasteriser::Rasteriser(const mjModel* model)
+Rasteriser::Rasteriser(const mjModel* model, Roundness round)
     : meshes_(static_cast<std::size_t>(model->nmesh)),
       model_(model),
       box_(box_shape()),
       plane_(plane_shape(kPlaneSquares)),
-      ball_(ball_shape({})),
-      cylinder_(cylinder_shape({}, true)),
-      tube_(cylinder_shape({}, false)),
-      cap_(half_ball_shape({}, 1)),
-      cup_(half_ball_shape({}, -1)) {}
+      ball_(ball_shape(round)),
+      cylinder_(cylinder_shape(round, true)),
+      tube_(cylinder_shape(round, false)),
+      cap_(half_ball_shape(round, 1)),
+      cup_(half_ball_shape(round, -1)) {}
 
 std::string Rasteriser::why_not(const mjModel& model, std::span<const bool> groups) {
   if (model.nflex > 0) return "it has a soft body";
@@ -220,6 +220,7 @@ void Rasteriser::draw_geom(const mjvGeom& geom, Sheet& sheet) {
   }
 }
 
+RCS_WIDE_VECTORS
 void Rasteriser::draw_shape(const Shape& shape, const mjvGeom& geom, const float* scale, const float* shift,
                             Sheet& sheet) {
   const std::size_t size = shape.size();

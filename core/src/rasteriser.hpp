@@ -11,6 +11,15 @@
 
 #include "mesh_shapes.hpp"
 
+// Loops over vertices and pixels are compiled for vectors of eight, too, and the processor decides when the library is
+// loaded. The bits are the same: neither way contracts a product and a sum.
+#if defined(__x86_64__) && defined(__ELF__) && defined(__GNUC__) && !defined(__clang__) && \
+    !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+#define RCS_WIDE_VECTORS __attribute__((target_clones("avx2", "default")))
+#else
+#define RCS_WIDE_VECTORS
+#endif
+
 namespace rcs {
 
 /// What is drawn to, rows from the top.
@@ -36,7 +45,7 @@ struct Backdrop {
 /// parts in 255.
 class Rasteriser {
  public:
-  explicit Rasteriser(const mjModel* model);
+  explicit Rasteriser(const mjModel* model, Roundness round = {});
 
   /// Draw the scene's geoms as `eye` sees them. The sheet is cleared before. With a backdrop, what never moves is drawn
   /// first, or taken from there.

@@ -32,6 +32,7 @@ inline float log2_of(float x) {
 }  // namespace
 
 // OpenGL's own model of light (The OpenGL Graphics System 1.5, section 2.14.1), with the eye where it is.
+RCS_WIDE_VECTORS
 void Rasteriser::shade(const mjvGeom& geom, const Shape& shape, const float (&turned)[3][3], const float* scale) {
   const std::size_t count = used_.size();
   lit_.resize(count);

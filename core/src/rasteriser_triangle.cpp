@@ -91,6 +91,7 @@ void Rasteriser::draw_clipped(const std::uint32_t* corners, float alpha, Sheet& 
   }
 }
 
+RCS_WIDE_VECTORS
 void Rasteriser::draw_triangle(const Corner (&corners)[3], float alpha, Sheet& sheet) const {
   const Corner &a = corners[0], &b = corners[1], &c = corners[2];
   const auto first = [](float value) { return static_cast<int>(std::ceil(std::max(value - 0.5F, -1.0F))); };

@@ -2,12 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <sstream>
 #include <stdexcept>
 #include <vector>
 
 #include "drawing_cost.hpp"
 #include "pixels.hpp"
+#include "rasteriser.hpp"
 #include "rcs/result.hpp"
 #include "scene_view.hpp"
 #include "trap.hpp"
@@ -26,11 +28,10 @@ constexpr int kMostParts = 64;
 // an infinite plane, which takes longer than a robot.
 constexpr int kPlaneSquares = 16;
 
-// Corners of round shapes: around the axis, and from the equator to a pole.
-struct Roundness {
-  int slices;
-  int stacks;
-};
+// Whether OpenGL draws on the processor, by the names of Mesa's renderers (GL_RENDERER).
+bool is_software(const std::string& renderer) {
+  return renderer.starts_with("llvmpipe") || renderer.starts_with("softpipe") || renderer.starts_with("swrast");
+}
 
 Roundness roundness(Quality quality, int picture_height) {
   if (quality == Quality::full) return {32, 8};
@@ -123,10 +124,14 @@ struct Renderer::Open {
   GlContext gl;
   mjrContext context;
   SceneView view;
-  mjData* own_data = nullptr;         // of `update_from_state`, made on first use
-  Canvas canvas;                      // of the picture at work
-  std::vector<std::uint16_t> values;  // of a canvas from which a picture's are looked up
-  int slices = 0;                     // of the round shapes in the context
+  mjData* own_data = nullptr;             // of `update_from_state`, made on first use
+  Canvas canvas;                          // of the picture at work
+  std::vector<std::uint16_t> values;      // of a canvas from which a picture's are looked up
+  int slices = 0;                         // of the round shapes in the context
+  bool is_rasterised = false;             // colours are drawn without OpenGL
+  std::map<int, Rasteriser> rasterisers;  // by the slices of their round shapes, made on first use
+  std::vector<Backdrop> backdrops;        // one for each camera
+  Sheet sheet;
 };
 
 Renderer::Renderer(const mjModel* model, const RenderOptions& options)
@@ -153,6 +158,9 @@ Renderer::Renderer(const mjModel* model, const RenderOptions& options)
     });
   }
   open->context.readDepthMap = mjDEPTH_ZEROFAR;
+  open->is_rasterised = options.is_rasterised && options.quality == Quality::fast &&
+                        is_software(open->gl.description()) && Rasteriser::why_not(*model, options.geom_groups).empty();
+  open->backdrops.resize(static_cast<std::size_t>(model->ncam));
   open_ = std::move(open);
 }
 
@@ -245,22 +253,24 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
   Canvas& canvas = open.canvas;
   const mjrRect area{0, 0, canvas.width, canvas.height};
   if (picture.depth_mm != nullptr) canvas.depth.resize(canvas.size());
-  if (lens != nullptr) canvas.rgb.resize(3 * canvas.size());
-  std::uint8_t* rgb = lens != nullptr ? canvas.rgb.data() : picture.rgb;
   float* depth = picture.depth_mm != nullptr ? canvas.depth.data() : nullptr;
   // Colours of what is transparent leave the depth behind it, and with several samples a pixel, the depth that is read
   // is not that of the pixel's middle. Ids are drawn opaque, with one sample, and so is the depth then.
-  bool is_apart = options_.quality == Quality::full;
-  trapped("renderer", [&] {
-    mjvScene& scene = open.view.scene();
-    mjr_render(area, &scene, &open.context);
-    is_apart = is_apart || std::any_of(scene.geoms, scene.geoms + scene.ngeom,
-                                       [](const mjvGeom& geom) { return geom.transparent; });
-    is_apart = is_apart && depth != nullptr;
-    mjr_readPixels(rgb, is_apart ? nullptr : depth, area, &open.context);
-  });
-  flip_rows(rgb, 3 * canvas.width, canvas.height);
-  if (lens != nullptr) look_up(rgb, *lens, picture.width, picture.height, picture.rgb);
+  bool is_apart = depth != nullptr;
+  if (!open.is_rasterised) {
+    if (lens != nullptr) canvas.rgb.resize(3 * canvas.size());
+    std::uint8_t* rgb = lens != nullptr ? canvas.rgb.data() : picture.rgb;
+    trapped("renderer", [&] {
+      mjvScene& scene = open.view.scene();
+      mjr_render(area, &scene, &open.context);
+      is_apart = is_apart && (options_.quality == Quality::full ||
+                              std::any_of(scene.geoms, scene.geoms + scene.ngeom,
+                                          [](const mjvGeom& geom) { return geom.transparent; }));
+      mjr_readPixels(rgb, is_apart ? nullptr : depth, area, &open.context);
+    });
+    flip_rows(rgb, 3 * canvas.width, canvas.height);
+    if (lens != nullptr) look_up(rgb, *lens, picture.width, picture.height, picture.rgb);
+  }
 
   // Values are written where they belong, or first to a canvas of their own and looked up there.
   const auto finish = [&](std::uint16_t* out, auto convert) {
@@ -277,11 +287,37 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
   }
 }
 
+void Renderer::rasterise(Open& open, int camera, const Picture& picture) const {
+  const Lens* lens = picture.lens != nullptr && picture.lens->lookup != nullptr ? picture.lens : nullptr;
+  Sheet& sheet = open.sheet;
+  sheet.width = lens != nullptr ? lens->width : picture.width;
+  sheet.height = lens != nullptr ? lens->height : picture.height;
+  const mjvGLCamera eye = open.view.look(camera, picture.lens, picture.height, sheet.width, sheet.height);
+  const Roundness round = roundness(options_.quality, sheet.height);
+  Rasteriser& rasteriser = open.rasterisers.try_emplace(round.slices, model_, round).first->second;
+  const bool is_still = model_->body_weldid[model_->cam_bodyid[camera]] == 0;
+  rasteriser.draw(open.view.scene(), eye, sheet,
+                  is_still ? &open.backdrops[static_cast<std::size_t>(camera)] : nullptr);
+  if (lens != nullptr) open.canvas.rgb.resize(3 * sheet.colours.size());
+  std::uint8_t* rgb = lens != nullptr ? open.canvas.rgb.data() : picture.rgb;
+  for (std::size_t i = 0; i < sheet.colours.size(); ++i) {
+    const std::uint32_t colour = sheet.colours[i];
+    rgb[3 * i] = static_cast<std::uint8_t>(colour);
+    rgb[3 * i + 1] = static_cast<std::uint8_t>(colour >> 8);
+    rgb[3 * i + 2] = static_cast<std::uint8_t>(colour >> 16);
+  }
+  if (lens != nullptr) look_up(rgb, *lens, picture.width, picture.height, picture.rgb);
+}
+
 void Renderer::render(int camera, const Picture& picture) {
   check(camera, picture);
   const std::lock_guard lock(mutex_);
   Open& open = require_open("render");
   if (open.view.is_empty()) throw WrongOrder("renderer: render was called before update; there are no poses to draw");
+  if (open.is_rasterised) {
+    rasterise(open, camera, picture);
+    if (picture.depth_mm == nullptr && picture.ids == nullptr) return;
+  }
   const GlContext::Current current(open.gl);
   show(open, camera, picture);
 }

@@ -1,53 +1,30 @@
 #include "rcs/trajectory.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <cstdint>
-#include <ruckig/ruckig.hpp>
-#include <string>
 #include <utility>
 
-#include "rcs/result.hpp"
+#include "braking.hpp"
+#include "trajectory_plan.hpp"
 
 namespace rcs {
 
 namespace {
 
-// Rows of `dof` numbers in the memory. What is planned follows from the last five and the numbers behind.
-enum Row { kTarget, kLast, kStream, kPosition, kVelocity, kAcceleration, kAim, kEnd, kRows };
-// After the rows: time since the plan's start; its least duration, or below 0 where it is to brake and no more; and the
-// share by which the acceleration is less than its limit; whether each joint goes by itself (1), or all wait for each
-// other (0); then the order to hold.
-enum Number { kElapsed, kLeast, kSpared, kApart, kHold, kNumbers };
-static_assert(Trajectory::size(1) == int{kRows} + int{kNumbers});
-
-// As libfranka, which stays that much below the limits that its robot checks (rate_limiting.h, kLimitEps).
-constexpr double kMargin = 1e-3;
 // How far a stream that ends abruptly may be overshot [rad], up to this share of the velocity limit; none at twice of
 // it.
 constexpr double kOvershoot = 0.029;
 // What is promised [rad].
 constexpr double kPromise = 0.0299;
 constexpr double kSlow = 0.5;
-// Steps within which a stream of targets is met. Only the first is made before the next target comes: what a noisy
-// target asks for is met in part, at a fraction of the acceleration.
-constexpr double kHorizon = 2.0;
-// In place of a least duration: all joints brake together, or each alone.
-constexpr double kTogether = -1.0, kAlone = -2.0;
 // Part of the velocity limit at which targets are followed; what is left is for catching up.
 constexpr double kCruise = 0.9995;
 // Part of its way by which a joint that moves may fall short: it then goes a little slower, not back.
 constexpr double kSlack = 0.005;
 // Part of the velocity limit below which a target is at rest.
 constexpr double kResting = 1e-4;
-// By how much a plan may last longer than it must.
-constexpr double kDetour = 1.01;
 // What rounding makes of the end of a trajectory [rad].
 constexpr double kRounding = 1e-6;
-// Targets may lead by what an arm needs to stop at this share of its acceleration, so that an arm that spares torque is
-// not slowed down.
-constexpr double kSparing = 0.5;
 // Places that a joint is aimed at, each nearer than the one before, until it could stop; the last is rest.
 constexpr int kTries = 5;
 // Torque is spared while the joints could stop on this much less of the way.
@@ -57,34 +34,6 @@ constexpr double kNearer = 0.6;
 // Halvings until a share of the speed is known: to a thousandth.
 constexpr int kHalvings = 10;
 
-// Time [s] from one speed to another, `change` apart, at limited acceleration and jerk.
-double changing_time(double change, double acceleration, double jerk) {
-  return change * jerk >= acceleration * acceleration ? change / acceleration + acceleration / jerk
-                                                      : 2.0 * std::sqrt(change / jerk);
-}
-
-// Way [rad] to a stop from a speed: half of what the speed makes in that time.
-double braking_distance(double speed, double acceleration, double jerk) {
-  return 0.5 * speed * changing_time(speed, acceleration, jerk);
-}
-
-// The speed whose braking distance is `distance`.
-double braking_speed(double distance, double acceleration, double jerk) {
-  if (distance <= 0.0) return 0.0;
-  const double lag = acceleration / jerk;
-  const double speed = 0.5 * acceleration * (std::sqrt(lag * lag + 8.0 * distance / acceleration) - lag);
-  return speed * jerk >= acceleration * acceleration ? speed : std::cbrt(distance * distance * jerk);
-}
-
-// Way [rad] to a stop from a speed that changes: what gaining it needs besides, or what has been braked already.
-double stopping_distance(double speed, double acceleration, double most, double jerk) {
-  const double time = std::abs(acceleration) / jerk;
-  const double peak = speed + 0.5 * acceleration * acceleration / jerk;
-  if (acceleration >= 0.0)
-    return (speed + (0.5 * acceleration - jerk * time / 6.0) * time) * time + braking_distance(peak, most, jerk);
-  return braking_distance(peak, most, jerk) - (peak - jerk * time * time / 6.0) * time;
-}
-
 // The smaller of two numbers of the same sign, else 0.
 double minmod(double a, double b) {
   if (a > 0.0 && b > 0.0) return std::min(a, b);
@@ -93,89 +42,6 @@ double minmod(double a, double b) {
 }
 
 }  // namespace
-
-void MotionLimits::check(int dof) const {
-  const auto n = static_cast<std::size_t>(dof);
-  for (const auto* values : {&lower, &upper, &velocity, &acceleration, &jerk})
-    if (values->size() != n)
-      throw InvalidSetup("motion limits: each needs one value per joint, " + std::to_string(n) + ", not " +
-                         std::to_string(values->size()));
-  for (std::size_t i = 0; i < n; ++i)
-    if (!(lower[i] < upper[i])) throw InvalidSetup("motion limits: every lower limit must be below the upper one");
-  for (const auto* values : {&velocity, &acceleration, &jerk})
-    for (const double value : *values)
-      if (!(value > 0.0)) throw InvalidSetup("motion limits: velocity, acceleration and jerk must be positive");
-}
-
-std::vector<double> MotionLimits::lead(double period) const {
-  if (!(period > 0.0)) throw InvalidSetup("motion limits: the period must be positive");
-  std::vector<double> lead(velocity.size());
-  for (std::size_t i = 0; i < lead.size(); ++i)
-    lead[i] = braking_distance(velocity[i], kSparing * acceleration[i], jerk[i]) + kHorizon * period * velocity[i];
-  return lead;
-}
-
-// A planned trajectory, and what it was planned for. Another memory, or a restored one, makes it plan anew.
-struct Trajectory::Plan {
-  explicit Plan(std::size_t dof) : ruckig(dof), input(dof), trajectory(dof), each(dof) {
-    for (auto* values : {&position, &velocity, &acceleration, &target, &end, &later, &room, &aim, &speed})
-      values->assign(dof, 0.0);
-    for (auto& values : from) values.assign(dof, 0.0);
-  }
-
-  bool compute() { return is_planned(ruckig.calculate(input, trajectory)); }
-  // The plan of one joint by itself.
-  bool compute(std::size_t i) {
-    one.current_position[0] = input.current_position[i];
-    one.current_velocity[0] = input.current_velocity[i];
-    one.current_acceleration[0] = input.current_acceleration[i];
-    one.target_position[0] = input.target_position[i];
-    one.target_velocity[0] = input.target_velocity[i];
-    one.max_velocity[0] = input.max_velocity[i];
-    one.max_acceleration[0] = input.max_acceleration[i];
-    one.max_jerk[0] = input.max_jerk[i];
-    return is_planned(single.calculate(one, each[i]));
-  }
-  static bool is_planned(ruckig::Result result) {
-    return result == ruckig::Result::Working || result == ruckig::Result::Finished;
-  }
-  double duration() const {
-    if (is_still) return 0.0;
-    if (!is_apart) return trajectory.get_duration();
-    double longest = 0.0;
-    for (const auto& joint : each) longest = std::max(longest, joint.get_duration());
-    return longest;
-  }
-  double soonest(std::size_t i) const { return each[i].get_independent_min_durations()[0]; }
-  void at(double time) {
-    if (is_still) {
-      position = input.current_position;
-      std::ranges::fill(velocity, 0.0);
-      std::ranges::fill(acceleration, 0.0);
-    } else if (is_apart) {
-      for (std::size_t i = 0; i < each.size(); ++i) each[i].at_time(time, position[i], velocity[i], acceleration[i]);
-    } else {
-      trajectory.at_time(time, position, velocity, acceleration);
-    }
-  }
-
-  ruckig::Ruckig<ruckig::DynamicDOFs> ruckig;
-  ruckig::InputParameter<ruckig::DynamicDOFs> input;
-  ruckig::Trajectory<ruckig::DynamicDOFs> trajectory;
-  ruckig::Ruckig<1> single;
-  ruckig::InputParameter<1> one;
-  std::vector<ruckig::Trajectory<1>> each;
-  std::vector<double> source;  // the numbers that it was computed from
-  std::vector<double> source_before;
-  bool is_still = true;   // it starts where it ends
-  bool is_apart = false;  // each joint goes by itself
-  std::vector<double> position, velocity, acceleration;
-  // What the law looks at: the targets, at which velocity they move, how much later the plan is to meet them [s], and
-  // how far the range goes on behind them; where the arm is.
-  std::vector<double> target, end, later, room;
-  std::array<std::vector<double>, 3> from;
-  std::vector<double> aim, speed;  // what it comes to: where to, at which velocity
-};
 
 Trajectory::Trajectory(MotionLimits limits) : limits_(std::move(limits)) {
   limits_.check(dof());
@@ -200,80 +66,6 @@ void Trajectory::stand(std::span<double> memory, std::span<const double> joints)
 std::span<const double> Trajectory::position() const { return plan_->position; }
 std::span<const double> Trajectory::velocity() const { return plan_->velocity; }
 std::span<const double> Trajectory::acceleration() const { return plan_->acceleration; }
-
-// The plan that the memory asks for.
-Trajectory::Plan& Trajectory::plan(const double* memory) {
-  Plan& plan = *plan_;
-  const std::size_t n = limits_.lower.size();
-  const double* first = memory + kPosition * n;
-  const std::size_t count = (kRows - kPosition) * n;
-  const double* numbers = memory + kRows * n;
-  const double least = numbers[kLeast], spared = numbers[kSpared], apart = numbers[kApart];
-  if (plan.source.size() == count + 3 && std::equal(first, first + count, plan.source.begin()) &&
-      std::equal(numbers + kLeast, numbers + kHold, plan.source.begin() + static_cast<std::ptrdiff_t>(count)))
-    return plan;
-  auto& before = plan.source_before;
-  std::swap(before, plan.source);
-  const bool was_apart =
-      plan.is_apart && !plan.is_still && numbers[kLeast] == before[count] && spared == before[count + 1];
-  plan.source.assign(first, first + count);
-  plan.source.insert(plan.source.end(), numbers + kLeast, numbers + kHold);
-  const auto is_new = [&](std::size_t i) {
-    for (std::size_t row = 0; row < count; row += n)
-      if (before[row + i] != plan.source[row + i]) return true;
-    return false;
-  };
-  auto& input = plan.input;
-  plan.is_still = true;
-  for (std::size_t i = 0; i < n; ++i) {
-    input.current_position[i] = memory[kPosition * n + i];
-    input.current_velocity[i] = memory[kVelocity * n + i];
-    input.current_acceleration[i] = memory[kAcceleration * n + i];
-    input.target_position[i] = memory[kAim * n + i];
-    input.target_velocity[i] = memory[kEnd * n + i];
-    input.max_acceleration[i] = (1.0 - kMargin) * (1.0 - spared) * limits_.acceleration[i];
-    // The speed that the joint comes to while its acceleration ends: where that is the limit but for rounding, Ruckig
-    // would brake.
-    const double now = input.current_velocity[i], change = input.current_acceleration[i];
-    const double peak = std::abs(now + 0.5 * change * std::abs(change) / limits_.jerk[i]) * (1.0 + kMargin);
-    input.max_velocity[i] = std::clamp(peak, (1.0 - kMargin) * limits_.velocity[i], limits_.velocity[i]);
-    plan.is_still = plan.is_still && input.current_velocity[i] == 0.0 && input.current_acceleration[i] == 0.0 &&
-                    input.target_velocity[i] == 0.0 && input.target_position[i] == input.current_position[i];
-  }
-  if (plan.is_still) return plan;
-  plan.is_apart = apart != 0.0;
-  input.synchronization = least == kAlone ? ruckig::Synchronization::None : ruckig::Synchronization::Phase;
-  input.control_interface = least < 0.0 ? ruckig::ControlInterface::Velocity : ruckig::ControlInterface::Position;
-  if (least > 0.0)
-    input.minimum_duration = least;
-  else
-    input.minimum_duration.reset();
-  if (plan.is_apart) {
-    for (std::size_t i = 0; i < n; ++i) {
-      if (was_apart && !is_new(i)) continue;
-      plan.one.control_interface = input.control_interface;
-      plan.one.minimum_duration = input.minimum_duration;
-      // It need not wait for a time at which it can be there again where it could be there sooner.
-      if (plan.compute(i) && plan.each[i].get_duration() <= kDetour * std::max(plan.soonest(i), least)) continue;
-      plan.one.minimum_duration.reset();
-      if (plan.compute(i)) continue;
-      input.target_velocity[i] = 0.0;
-      if (plan.compute(i)) continue;
-      plan.one.control_interface = ruckig::ControlInterface::Velocity;
-      if (!plan.compute(i)) plan.is_still = true;
-    }
-    return plan;
-  }
-  if (plan.compute()) return plan;
-  // Rounding may leave no trajectory of that duration, or to that speed: what is always left is to come to rest.
-  input.minimum_duration.reset();
-  if (plan.compute()) return plan;
-  std::ranges::fill(input.target_velocity, 0.0);
-  if (plan.compute()) return plan;
-  input.control_interface = ruckig::ControlInterface::Velocity;
-  if (!plan.compute()) plan.is_still = true;
-  return plan;
-}
 
 // A joint that is outside its range may stay there, and goes no farther.
 double Trajectory::within(std::size_t i, double target, double position) const {

@@ -26,7 +26,7 @@ class TestRampArm(ArmContract):
     def _from_the_extension(self, ramp_arm: ModuleType, limits: ArmLimits) -> None:
         self.module, self.limits = ramp_arm, limits
 
-    def make_arm(self) -> Arm:
+    def make_device(self) -> Arm:
         self.arm = self.module.RampArm("ramp", self.limits)
         return self.arm
 
@@ -48,7 +48,7 @@ class TestThreadedArm(ArmContract):
     def _from_the_extension(self, import_device: Callable[[str], ModuleType], limits: ArmLimits) -> None:
         self.module, self.limits = import_device("threaded_arm"), limits
 
-    def make_arm(self) -> Arm:
+    def make_device(self) -> Arm:
         return self.module.ThreadedArm(self.limits)
 
     def lose_link(self, device: Any) -> None:
@@ -83,7 +83,7 @@ class TestServoArm(ArmContract):
     def _from_the_extension(self, servo_arm: Callable[[], Any]) -> None:
         self.make = servo_arm
 
-    def make_arm(self) -> Arm:
+    def make_device(self) -> Arm:
         return self.make()
 
     def lose_link(self, device: Any) -> None:

@@ -47,7 +47,7 @@ class TestContract(ArmContract):  # without the loss of the link: this one has n
     def _from_the_example(self, driver: ModuleType) -> None:
         self.driver = driver.MyDriver()
 
-    def make_arm(self) -> Arm:
+    def make_device(self) -> Arm:
         return self.driver.arm("192.0.2.1", UR5E, {})
 
 

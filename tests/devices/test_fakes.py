@@ -10,7 +10,8 @@ import pytest
 from rcs.devices import Arm, ArmLimits, Camera, CameraCalibration, CameraMode, Gripper, Hand
 from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper, FakeHand
 from rcs.errors import DeviceFault, InvalidAction
-from rcs.testing import ArmContract, CameraContract, GripperContract, HandContract
+from rcs.robots.tactile import DIGIT
+from rcs.testing import ArmContract, CameraContract, GripperContract, HandContract, TactileContract
 
 CALIBRATION = CameraCalibration(np.array([[10.0, 0.0, 7.5], [0.0, 10.0, 3.5], [0.0, 0.0, 1.0]]), [0.1, -0.02])
 
@@ -36,28 +37,33 @@ class OnAHandClock:
 
 
 class TestFakeArm(OnAHandClock, ArmContract):
-    def make_arm(self) -> Arm:
+    def make_device(self) -> Arm:
         return FakeArm(self.limits, clock=self.clock)
 
 
 class TestFakeGripper(OnAHandClock, GripperContract):
-    def make_gripper(self) -> Gripper:
+    def make_device(self) -> Gripper:
         return FakeGripper(clock=self.clock)
 
 
 class TestFakeHand(OnAHandClock, HandContract):
-    def make_hand(self) -> Hand:
+    def make_device(self) -> Hand:
         return FakeHand(3, clock=self.clock)
 
 
 class TestFakeCamera(OnAHandClock, CameraContract):
-    def make_camera(self) -> Camera:
+    def make_device(self) -> Camera:
         return FakeCamera(CameraMode(16, 8, 30.0, True), calibration=CALIBRATION, clock=self.clock)
 
 
 class TestFakeCameraWithoutDepth(TestFakeCamera):
-    def make_camera(self) -> Camera:
+    def make_device(self) -> Camera:
         return FakeCamera(CameraMode(8, 16, 60.0), clock=self.clock)
+
+
+class TestFakeTactile(OnAHandClock, TactileContract):
+    def make_device(self) -> Camera:
+        return FakeCamera(CameraMode(*DIGIT.frame_size, 60.0), clock=self.clock)
 
 
 class Trips(OnAHandClock):

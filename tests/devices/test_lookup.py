@@ -6,7 +6,7 @@ import pytest
 
 from rcs.devices import lookup
 from rcs.errors import InvalidSetup, UnknownName
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 
 
 def test_what_the_project_brings_along_is_found_by_name() -> None:
@@ -52,11 +52,6 @@ def test_a_module_suggests_what_is_its_own(monkeypatch: pytest.MonkeyPatch, tmp_
         match=r"no task in the module 'knocking' named 'Knok'\. Did you mean 'Knock'\? Known: FLAT, Knock\.",
     ):
         lookup.find("task", "knocking:Knok")
-
-
-def test_the_group_of_policies_has_a_plural_of_its_own() -> None:
-    with pytest.raises(UnknownName, match=r"rcs\.policies"):
-        lookup.find("policy", "none")
 
 
 def test_what_a_package_names_and_cannot_be_imported_is_told_with_the_package(

@@ -15,7 +15,6 @@ import pytest
 from rcs.devices import (
     Arm,
     ArmLimits,
-    ArmState,
     CameraMode,
     CommandKind,
     Device,
@@ -25,45 +24,10 @@ from rcs.devices import (
     HandState,
     stop_all,
 )
-from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, MissingDependency, WrongOrder
+from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.spatial import Pose
+from tests.devices.scripted_arm import Scripted
 from tests.devices.test_python_grippers_and_cameras import RGB, Eye, Pincers
-
-
-class Scripted(Arm):
-    """An arm that answers what it is told to, and notes what is asked of it."""
-
-    def __init__(self, limits: ArmLimits, **answers: Any) -> None:
-        super().__init__("scripted", limits)
-        self.answers, self.calls = answers, []
-
-    def _answer(self, call: str, usual: Any = None) -> Any:
-        self.calls.append(call)
-        answer = self.answers.get(call, usual)
-        if isinstance(answer, BaseException):
-            raise answer
-        return answer
-
-    def _open(self) -> None:
-        self._answer("open")
-
-    def _state(self) -> ArmState:
-        return self._answer("state", ArmState([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0))
-
-    def _command_joints(self, joints: Any) -> None:
-        self._answer("command_joints")
-
-    def _has_arrived(self) -> bool:
-        return self._answer("has_arrived", True)
-
-    def _hold(self) -> None:
-        self._answer("hold")
-
-    def _recover(self) -> None:
-        self._answer("recover")
-
-    def _close(self) -> None:
-        self._answer("close")
 
 
 def test_calls_reach_the_device_in_order(limits: ArmLimits) -> None:
@@ -75,155 +39,6 @@ def test_calls_reach_the_device_in_order(limits: ArmLimits) -> None:
     arm.close()
     arm.close()
     assert arm.calls == ["open", "command_joints", "recover", "hold", "hold", "close"]
-
-
-@pytest.mark.parametrize("call", ["open", "state", "command_joints", "has_arrived", "hold", "close"])
-def test_what_a_driver_raises_is_a_fault_in_its_words(limits: ArmLimits, call: str) -> None:
-    arm = Scripted(limits, **{call: IndexError("list index out of range")})
-    arguments = (np.zeros(3),) if call == "command_joints" else ()
-    if call != "open":
-        arm.open()
-    with pytest.raises(DeviceFault, match=f"scripted: {call} failed: IndexError: list index out of range") as caught:
-        getattr(arm, call)(*arguments)
-    assert caught.value.__cause__ is arm.answers[call]
-    if call != "open":
-        assert arm.fault == f"{call} failed: IndexError: list index out of range"
-        assert "hold" in arm.calls
-        arm.close()
-
-
-def test_a_fault_that_a_driver_raises_is_told_as_it_says(limits: ArmLimits) -> None:
-    raised = DeviceFault("joint 3 is above 60 degrees")
-    arm = Scripted(limits, state=raised)
-    with arm:
-        with pytest.raises(DeviceFault, match="scripted: joint 3 is above 60 degrees") as caught:
-            arm.state()
-        assert caught.value.__cause__ is raised
-        assert arm.fault == "joint 3 is above 60 degrees"
-
-
-@pytest.mark.parametrize(
-    "error", [KeyboardInterrupt(), SystemExit(3), MissingDependency("no such library"), InvalidAction("too far")]
-)
-@pytest.mark.parametrize("call", ["open", "state", "command_joints", "hold", "recover", "close"])
-def test_ctrl_c_and_errors_of_ours_are_no_faults(limits: ArmLimits, call: str, error: BaseException) -> None:
-    arm = Scripted(limits, **{call: error})
-    if call != "open":
-        arm.open()
-    if call == "recover":
-        arm.set_fault("collision")
-    with pytest.raises(type(error)) as caught:
-        getattr(arm, call)(*[np.zeros(3)] * (call == "command_joints"))
-    assert caught.value is error
-    assert arm.fault == ("collision" if call == "recover" else "")
-    arm.answers.clear()
-    arm.close()
-
-
-def test_what_failed_to_open_is_closed_and_can_be_opened_again(limits: ArmLimits) -> None:
-    arm = Scripted(limits, open=OSError("unplugged"))
-    with pytest.raises(DeviceFault, match="open failed: OSError: unplugged"):
-        arm.open()
-    assert arm.calls == ["open", "close"]
-    assert not arm.is_open
-    with pytest.raises(WrongOrder):
-        arm.state()
-    arm.answers.clear()
-    with arm:
-        assert arm.fault == ""
-
-
-@pytest.mark.parametrize("call", ["hold", "close"])
-def test_an_arm_that_failed_to_close_is_closed_and_let_go_of(limits: ArmLimits, call: str) -> None:
-    arm = Scripted(limits, **{call: OSError("unplugged")})
-    arm.open()
-    with pytest.raises(DeviceFault, match=f"{call} failed: OSError: unplugged"):
-        arm.close()
-    assert not arm.is_open
-    assert arm.calls[-1] == "close"
-    arm.close()
-
-
-def test_an_arm_whose_fault_is_known_closes_without_a_word(limits: ArmLimits) -> None:
-    arm = Scripted(limits, state=OSError("unplugged"), hold=OSError("unplugged"), close=OSError("unplugged"))
-    with arm, pytest.raises(DeviceFault, match="state failed: OSError: unplugged"):
-        arm.state()
-    assert not arm.is_open
-    assert arm.fault == "state failed: OSError: unplugged"
-    assert arm.calls == ["open", "state", "hold", "hold", "close"]
-
-
-class Reporting(Scripted):
-    """An arm that finds in its `_hold` that the link is lost."""
-
-    def _hold(self) -> None:
-        self.set_fault("the link is lost")
-        super()._hold()
-
-
-def test_a_hold_that_sets_a_fault_ends(limits: ArmLimits) -> None:
-    arm = Reporting(limits, hold=OSError("no route"))
-    with arm:
-        with pytest.raises(DeviceFault, match="hold failed: OSError: no route"):
-            arm.hold()
-        assert arm.fault == "the link is lost"
-        arm.set_fault("another")
-        assert arm.fault == "the link is lost; hold failed: OSError: no route"
-    assert arm.calls == ["open", "hold", "hold", "hold", "close"]
-
-
-def test_a_hold_that_fails_is_added_to_the_reason_of_the_fault(limits: ArmLimits) -> None:
-    arm = Scripted(limits, hold=OSError("unplugged"))
-    arm.open()
-    arm.set_fault("collision")
-    assert arm.fault == "collision; hold failed: OSError: unplugged"
-    arm.close()
-
-
-def test_a_hold_that_fails_does_not_hide_a_bad_measurement(limits: ArmLimits) -> None:
-    arm = Scripted(limits, hold=OSError("unplugged"), state=ArmState([0.0], [0.0], 0.0))
-    arm.open()
-    with pytest.raises(DeviceFault, match="measured 1 joints, it has 3; hold failed: OSError: unplugged"):
-        arm.state()
-
-
-@pytest.mark.parametrize("call", ["hold", "recover"])
-def test_a_fault_whose_recovery_fails_stays_and_the_error_says_so(limits: ArmLimits, call: str) -> None:
-    arm = Scripted(limits)
-    arm.open()
-    arm.set_fault("collision")
-    arm.answers[call] = TimeoutError("no answer within 10 ms")
-    with pytest.raises(
-        DeviceFault, match=r"recover failed: TimeoutError: no answer within 10 ms; the fault stays \(collision\)"
-    ) as caught:
-        arm.recover()
-    assert caught.value.__cause__ is arm.answers[call]
-    assert arm.fault == "collision"
-    with pytest.raises(DeviceFault, match="collision"):
-        arm.command_joints(np.zeros(3))
-    arm.answers.clear()
-    arm.recover()
-    assert arm.fault == ""
-
-
-@pytest.mark.parametrize(
-    ("state", "text"),
-    [
-        (ArmState([0.0, 0.0], [0.0, 0.0], 0.0), "measured 2 joints, it has 3"),
-        (ArmState([0.0, math.nan, 0.0], [0.0] * 3, 0.0), "not finite at joint 1"),
-        (ArmState([0.0] * 3, [0.0, 0.0, math.inf], 0.0), "not finite at joint 2"),
-    ],
-)
-def test_a_measurement_that_makes_no_sense_is_a_fault_and_the_arm_holds(
-    limits: ArmLimits, state: ArmState, text: str
-) -> None:
-    arm = Scripted(limits, state=state)
-    arm.open()
-    with pytest.raises(DeviceFault, match=text):
-        arm.state()
-    assert arm.calls == ["open", "state", "hold"]
-    with pytest.raises(DeviceFault, match="recover"):
-        arm.command_joints(np.zeros(3))
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import rcs
 from rcs.errors import DeviceFault
 from rcs.hardware import DeviceAddress
 from rcs.rollout import Collection, Progress, collect
-from rcs.rollout.real_to_sim import real_to_sim
+from rcs.rollout.reexecute import reexecute
 from rcs.virtual import VirtualProcess
 
 pytestmark = pytest.mark.hardware
@@ -43,7 +43,7 @@ def test_cuboids_are_picked_recorded_at_30_hz_and_picked_again_in_simulation(tmp
         periods = np.diff(episode.column("time/monotonic"))
         assert np.median(periods) == pytest.approx(1 / 30, rel=0.02)
         assert episode.outcome["objects"]["cuboid"]
-    results = list(real_to_sim(tmp_path / "real", tmp_path / "simulated"))
+    results = list(reexecute(tmp_path / "real", tmp_path / "simulated", follow="states"))
     assert [result.success for result in results] == [True, True]
 
 

@@ -11,11 +11,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 
 import numpy as np
 import pytest
 from franka_troubles import TROUBLES
+from moving import PERIOD, stream, wait_until, wave
 
 import rcs
 from rcs.agents import PickExpert
@@ -33,7 +34,6 @@ pytest.importorskip("franky", reason="needs franky-control, the extra 'franka'")
 pytestmark = pytest.mark.hardware
 
 ADDRESS = "127.0.52.1"
-PERIOD = 1 / 30
 STIFF = FrankaOptions(collision_force=400.0, collision_torque=(80.0,) * 7)
 """What the virtual robot touches does not matter."""
 _SILENT: list[int] = []
@@ -71,29 +71,6 @@ def an_arm(options: FrankaOptions = STIFF, *, is_well: bool = True) -> FrankaArm
     return arm
 
 
-def wait_for(condition: Callable[[], object], seconds: float = 5.0) -> None:
-    until = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until, "it has not happened"
-        time.sleep(0.005)
-
-
-def stream(arm: FrankaArm, targets: np.ndarray) -> np.ndarray:
-    """Send targets at 30 Hz, and return what was measured when each came."""
-    measured = []
-    for target in targets:
-        arm.command_joints(target, valid_for=1.0)
-        time.sleep(PERIOD)
-        measured.append(arm.state().joints)
-    return np.array(measured)
-
-
-def wave(arm: FrankaArm, amplitude: float = 0.15, seconds: float = 2.0) -> np.ndarray:
-    """To and fro, and first towards the home pose."""
-    times, joints = np.arange(0.0, seconds, PERIOD)[:, None], arm.state().joints
-    return joints + amplitude * 0.5 * (1 - np.cos(np.pi * times)) * np.where(joints < FR3.home, 1, -1)
-
-
 class TestFrankaArm(ArmContract):  # without the loss of the link: one that was cut does not answer again
     tolerance = 6e-3  # a spring
     stopping_time = 0.5
@@ -105,12 +82,12 @@ class TestFrankaArm(ArmContract):  # without the loss of the link: one that was 
         robot.tell("clear")
         an_arm().close()
 
-    def make_arm(self) -> FrankaArm:
+    def make_device(self) -> FrankaArm:
         return FrankaArm(ADDRESS, FR3, STIFF)
 
     def provoke_fault(self, device) -> None:
         self.robot.tell("reflex")
-        wait_for(lambda: device.fault)
+        wait_until(lambda: device.fault)
 
 
 @pytest.mark.slow
@@ -122,7 +99,7 @@ class TestFrankaHand(GripperContract):
         self.robot = robot
         robot.tell("clear")
 
-    def make_gripper(self) -> FrankaHand:
+    def make_device(self) -> FrankaHand:
         return FrankaHand(ADDRESS, FRANKA_HAND)
 
 
@@ -170,11 +147,11 @@ def test_options_that_make_no_sense_are_refused_by_name():
     driver = FrankaDriver()
     with pytest.raises(InvalidSetup, match=r"sped.*speed"):
         driver.arm(ADDRESS, FR3, {"sped": 0.5})
-    with pytest.raises(InvalidSetup, match="7 finite numbers"):
+    with pytest.raises(InvalidSetup, match="a sequence of 7"):
         driver.arm(ADDRESS, FR3, {"collision_torque": [100] * 6})
     with pytest.raises(InvalidSetup, match="valid for Franka Research 3 is one, or 7"):
         driver.arm(ADDRESS, FR3, {"compliance": Compliance(joints=(100,) * 6)})
-    with pytest.raises(InvalidSetup, match="at most 1"):
+    with pytest.raises(InvalidSetup, match="speed is 5"):
         driver.arm(ADDRESS, FR3, {"speed": 5})
     with pytest.raises(InvalidSetup, match="set it in the setup"):
         rcs.make("Free", hardware={"fr3": {"driver": "franka", "options": {"compliance": "soft"}}})
@@ -201,7 +178,7 @@ def test_what_is_read_is_where_the_virtual_robot_stands(arm: FrankaArm):
     assert kinematics_of(FR3, FRANKA_HAND).forward(state.joints).is_close(own, 1e-4, 1e-4)
     assert state.time <= time.monotonic()
     later = arm.state()
-    wait_for(lambda: arm.state().device_time > later.device_time)
+    wait_until(lambda: arm.state().device_time > later.device_time)
 
 
 def test_a_first_target_far_away_is_refused_and_nothing_moves(arm: FrankaArm):
@@ -334,7 +311,7 @@ def test_an_arm_found_in_a_reflex_opens_with_that_fault_and_is_recovered(robot: 
     robot.tell("reflex")
     arm = an_arm(is_well=False)
     with arm:
-        wait_for(lambda: arm.fault)
+        wait_until(lambda: arm.fault)
         assert "joint_reflex" in arm.fault
         arm.recover()
         assert arm.fault == ""
@@ -361,7 +338,7 @@ def test_an_arm_whose_program_is_killed_brakes(robot: VirtualProcess, tmp_path):
         process.send_signal(signal.SIGKILL)
     arm = an_arm(is_well=False)
     with arm:
-        wait_for(lambda: arm.fault)
+        wait_until(lambda: arm.fault)
         assert "communication_constraints_violation" in arm.fault
         before = arm.state().joints
         time.sleep(0.2)
@@ -381,18 +358,35 @@ def test_the_errors_that_have_words_are_those_of_the_library():
 def test_fingers_close_while_the_arm_moves_and_nobody_waits_for_them(arm: FrankaArm):
     with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
         hand.command_opening(1.0)
-        wait_for(hand.has_arrived)
+        wait_until(hand.has_arrived)
         began = time.monotonic()
         hand.command_opening(0.0, 20.0)
         for _ in range(20):
             hand.state()
         assert time.monotonic() - began < 0.2
         stream(arm, wave(arm, 0.05, 1.0))
-        wait_for(hand.has_arrived)
+        wait_until(hand.has_arrived)
         assert hand.state().opening == pytest.approx(0.0, abs=0.02)
         hand.home()
-        wait_for(lambda: hand.state().opening > 0.95)
+        wait_until(lambda: hand.state().opening > 0.95)
         assert arm.fault == ""
+
+
+def test_a_hand_whose_cable_was_out_is_connected_again_by_recover(robot: VirtualProcess):
+    with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
+        robot.tell("cut")
+        with pytest.raises(DeviceFault, match="hand"):  # noqa: PT012  until its last state is too old
+            for _ in range(500):
+                hand.state()
+                time.sleep(0.01)
+        time.sleep(1.5)
+        robot.tell("clear")
+        hand.recover()
+        for opening in (0.5, 1.0):
+            hand.command_opening(opening)
+            wait_until(hand.has_arrived)
+            assert hand.state().opening == pytest.approx(opening, abs=0.03)
+        assert hand.fault == ""
 
 
 def test_what_picks_a_cuboid_in_simulation_picks_the_virtual_robots_cuboid(robot: VirtualProcess):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pty
 import time
 from collections.abc import Generator, Iterator
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 from rcs.devices import Gripper
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.robotiq import RobotiqDriver, RobotiqGripper
+from rcs.hardware.robotiq_lines import ModbusLine
 from rcs.robots import ROBOTIQ_2F85
 from rcs.testing import GripperContract
 from rcs.virtual import VirtualProcess
@@ -26,7 +28,7 @@ class RobotiqContract(GripperContract):
     address: str
     virtual: VirtualProcess
 
-    def make_gripper(self) -> Gripper:
+    def make_device(self) -> Gripper:
         return RobotiqDriver().gripper(self.address, ROBOTIQ_2F85, {})
 
     def provoke_fault(self, device: Gripper) -> None:
@@ -47,7 +49,7 @@ class RobotiqContract(GripperContract):
         type(self).virtual = served
         type(self).address = str(served.site.grippers["ur5e"].address)  # type: ignore[union-attr]
         served.tell("clear")
-        with self.make_gripper() as gripper:
+        with self.make_device() as gripper:
             gripper.recover()
             gripper.command_opening(1.0)
             self.move(gripper)
@@ -182,12 +184,25 @@ def test_hold_does_not_wait_for_a_silent_line_and_is_sent_when_it_answers(
 
 
 def test_a_wrong_address_is_a_fault_with_what_to_look_at() -> None:
-    for address, word in (("127.1.1.1", "URCap"), ("/dev/nothing", "dialout")):
-        if word == "dialout":
+    for address, word in (("127.1.1.1", "URCap"), ("/dev/nothing", "ls /dev/tty")):
+        if address.startswith("/"):
             pytest.importorskip("pymodbus", reason="the extra `robotiq` is not installed")
             pytest.importorskip("serial", reason="the extra `robotiq` is not installed")
         with pytest.raises(DeviceFault, match=word):
             RobotiqDriver().gripper(address, ROBOTIQ_2F85, {}).open()
+
+
+@pytest.mark.hardware
+def test_a_line_that_the_library_closes_after_some_silence_is_opened_again() -> None:
+    pytest.importorskip("pymodbus", reason="the extra `robotiq` is not installed")
+    ends = pty.openpty()
+    line = ModbusLine(os.ttyname(ends[1]))
+    for _ in range(7):
+        with pytest.raises(DeviceFault, match="no gripper answers"):
+            line.read()
+    line.close()
+    for end in ends:
+        os.close(end)
 
 
 @pytest.mark.parametrize(

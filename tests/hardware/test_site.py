@@ -15,7 +15,7 @@ from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper
 from rcs.errors import DeviceFault, InvalidSetup, UnknownName
 from rcs.hardware import DeviceAddress, Driver, FakeDriver, Site
 from rcs.hardware.fake import limits_of
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 
 HOME = np.array(FR3.home)
 
@@ -56,7 +56,7 @@ def test_a_site_is_what_its_file_says(tmp_path: Path) -> None:
         ('{"arm_stale_after": -1}', "arm_stale_after is -1 s"),
         (
             '{"arms": {"left": "ur:192.0.2.1", "right": "ur:192.0.2.1"}}',
-            "'left' and 'right' are both at ur:192.0.2.1, which is 'left'",
+            "'left' and 'right' are both at ur:192.0.2.1; give 'right' its own",
         ),
         (
             '{"cameras": {"wrist": "v4l:0", "side": {"driver": "v4l", "address": "0", "options": {"x": 1}}}}',
@@ -88,6 +88,7 @@ def test_a_device_itself_goes_into_no_file(tmp_path: Path) -> None:
         ("nowhere.json", InvalidSetup, "cannot be read"),
         ({"fr3": FakeGripper()}, InvalidSetup, "Expected a device of rcs.devices.Arm"),
         ({"fr3": {"driver": "rcs.errors:WrongOrder"}}, InvalidSetup, "subclass of rcs.hardware.Driver"),
+        ({"fr3": {"driver": "numpy:ndarray"}}, InvalidSetup, "subclass of rcs.hardware.Driver"),
         ("rcs.errors:WrongOrder:192.0.2.1", InvalidSetup, "subclass of rcs.hardware.Driver"),
         ("rcs.hardware.fake:FakeDrover:x", UnknownName, "Did you mean 'FakeDriver'"),
         (

@@ -21,8 +21,7 @@ from rcs.hardware import DeviceAddress
 from rcs.hardware.servo_bus import ServoBus
 from rcs.hardware.so101 import So101Arm, So101Driver, So101Gripper
 from rcs.hardware.so101_servos import GRIPPER, NAMES, read_calibration
-from rcs.robots.so101.description import SO101
-from rcs.robots.so101_gripper.description import SO101_GRIPPER
+from rcs.robots.so101 import SO101, SO101_GRIPPER
 from rcs.virtual import VirtualProcess, read_events, read_points, read_ticks
 
 pytestmark = pytest.mark.hardware
@@ -62,6 +61,12 @@ def lead(arm: So101Arm, to: np.ndarray, seconds: float = 1.0) -> None:
 def bus_of(device: So101Arm | So101Gripper) -> ServoBus:
     with device.link as servos:
         return servos.bus
+
+
+def settings_of(gripper: So101Gripper) -> bytes:
+    """Return the first 50 registers of the gripper's servo; no other thread is on the bus meanwhile."""
+    with gripper.link as servos:
+        return servos.bus.read([GRIPPER], 0, 50)[GRIPPER][1]
 
 
 def position_of_lift(arm: So101Arm) -> int:
@@ -127,11 +132,11 @@ def test_the_grippers_torque_and_current_are_capped(virtual):
     arm, gripper = devices(virtual)
     with arm, gripper:
         gripper.command_opening(0.9)
-        _, settings = bus_of(gripper).read([GRIPPER], 0, 50)[GRIPPER]
+        settings = settings_of(gripper)
         assert int.from_bytes(settings[16:18], "little") == 500
         assert int.from_bytes(settings[28:30], "little") == 250
         gripper.command_opening(0.5, 9.0)
-        _, settings = bus_of(gripper).read([GRIPPER], 0, 50)[GRIPPER]
+        settings = settings_of(gripper)
         assert int.from_bytes(settings[48:50], "little") == 250
 
 
@@ -278,6 +283,43 @@ def recovers(arm: So101Arm) -> bool:
     return True
 
 
+def test_a_cable_that_was_out_is_found_again_by_recover(tmp_path):
+    port = str(tmp_path / "ttyACM0")
+    with VirtualProcess("so101", address=port) as first:
+        arm, gripper = devices(first)
+        arm.open()
+        gripper.open()
+        switch_on(arm)
+    wait_until(lambda: arm.fault != "")
+    assert "has disappeared" in arm.fault
+    with pytest.raises(DeviceFault, match="has disappeared"):
+        gripper.state()
+    assert not recovers(arm)
+    with VirtualProcess("so101", address=port), arm, gripper:
+        arm.recover()
+        gripper.recover()
+        switch_on(arm)
+        assert arm.fault == gripper.fault == ""
+
+
+def test_every_device_checks_the_calibration_that_it_was_given(virtual, tmp_path):
+    entry = virtual.site.arms["so101"]
+    driver, right = So101Driver(), entry.options["calibration"]
+    wrong = {**right, "elbow_flex": {**right["elbow_flex"], "range_max": right["elbow_flex"]["range_max"] - 7}}
+    with (
+        driver.arm(entry.address, SO101, {"calibration": right, "timeout": PATIENT}),
+        driver.gripper(entry.address, SO101_GRIPPER, {"timeout": PATIENT}),
+    ):
+        pass
+    with driver.gripper(
+        entry.address, SO101_GRIPPER, {"timeout": PATIENT}
+    ):  # the driver of a host that stays, and without a file first
+        with pytest.raises(DeviceFault, match="elbow_flex has the range_max"):
+            driver.arm(entry.address, SO101, {"calibration": wrong, "timeout": PATIENT}).open()
+        with driver.arm(entry.address, SO101, {"calibration": right, "timeout": PATIENT}):
+            pass
+
+
 def test_a_servo_of_another_model_is_refused(virtual):
     virtual.tell("version", "1284")
     arm, _ = devices(virtual)
@@ -301,7 +343,7 @@ def test_a_second_program_at_one_port_is_refused_and_told_who_has_it(virtual):
     arm, _ = devices(virtual)
     with arm:
         code = (
-            "import sys; from rcs.hardware.so101 import *; from rcs.robots.so101.description import SO101\n"
+            "import sys; from rcs.hardware.so101 import *; from rcs.robots.so101 import SO101\n"
             "try: So101Driver().arm(sys.argv[1], SO101, {}).open()\nexcept DeviceFault as err: print(err)"
         )
         told = subprocess.run([sys.executable, "-c", code, arm.name], capture_output=True, text=True)

@@ -13,8 +13,7 @@ from rcs.errors import DeviceFault
 from rcs.hardware import DeviceAddress
 from rcs.hardware.so101 import So101Arm, So101Driver, So101Gripper
 from rcs.hardware.so101_servos import ARM, GRIPPER, TORQUE_ON
-from rcs.robots.so101.description import SO101
-from rcs.robots.so101_gripper.description import SO101_GRIPPER
+from rcs.robots.so101 import SO101, SO101_GRIPPER
 from rcs.testing import ArmContract, GripperContract
 from rcs.virtual import VirtualProcess
 
@@ -72,7 +71,7 @@ class TestSo101Arm(OnVirtualArm, ArmContract):
     still = 0.03
     at_close = "hold"
 
-    def make_arm(self) -> Arm:
+    def make_device(self) -> Arm:
         driver, address, options = self.entry()
         # It has no brakes: one that is released when it is closed falls, and is not at rest for a while.
         return driver.arm(address, SO101, {**options, "at_close": self.at_close})
@@ -89,7 +88,7 @@ class TestSo101Arm(OnVirtualArm, ArmContract):
 class TestSo101Gripper(OnVirtualArm, GripperContract):
     tolerance = 0.03
 
-    def make_gripper(self) -> Gripper:
+    def make_device(self) -> Gripper:
         driver, address, options = self.entry()
         return driver.gripper(address, SO101_GRIPPER, options)
 

@@ -6,10 +6,11 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 
 import numpy as np
 import pytest
+from moving import is_measured, lead, wait_for_fault, wait_until
 from numpy.typing import NDArray
 
 import rcs
@@ -64,7 +65,7 @@ class TestContract(ArmContract):
     def _mended(self, virtual: VirtualProcess) -> None:
         type(self).virtual = virtual
 
-    def make_arm(self) -> Arm:
+    def make_device(self) -> Arm:
         return UrDriver().arm(ADDRESS, UR5E, CALM)
 
     def provoke_fault(self, device: Arm) -> None:
@@ -79,22 +80,6 @@ class TestContract(ArmContract):
     def restore_link(self, device: Arm) -> None:
         self.virtual.tell("clear")
         time.sleep(0.1)
-
-
-def is_measured(arm: Arm) -> bool:
-    try:
-        arm.state()
-    except DeviceFault:
-        return False
-    return True
-
-
-def wait_for_fault(arm: Arm, seconds: float = 3.0) -> str:
-    until = time.monotonic() + seconds
-    while not arm.fault:
-        assert time.monotonic() < until, "no fault was found"
-        time.sleep(0.002)
-    return arm.fault
 
 
 def test_joints_and_times_are_those_of_the_robot(arm: Arm) -> None:
@@ -337,7 +322,7 @@ def test_what_a_driver_cannot_do_it_refuses() -> None:
     for options, match in (
         ({"rate": 1000}, "50 to 500"),
         ({"speed": 0}, "0.01 to 1"),
-        ({"tcp": [0, 0, 1]}, "7 numbers"),
+        ({"tcp": [0, 0, 1]}, "a sequence of 7"),
         ({"rat": 100}, "Did you mean 'rate'"),
     ):
         with pytest.raises(InvalidSetup, match=match):
@@ -391,17 +376,3 @@ def test_the_time_that_a_script_takes_to_begin_is_not_that_of_a_point(
             wait_until(lambda: len(took) > 20)
             firsts.append(took[0])
     assert min(firsts) < 0.02  # the machine may be busy
-
-
-def lead(arm: Arm, target: NDArray[np.float64]) -> None:
-    """Lead an arm that is started somewhere, and wait until it is there."""
-    arm.command_joints(target)
-    wait_until(lambda: arm.fault != "" or arm.has_arrived(), 10.0)
-    assert arm.fault == ""
-
-
-def wait_until(is_so: Callable[[], bool], seconds: float = 3.0) -> None:
-    until = time.monotonic() + seconds
-    while not is_so():
-        assert time.monotonic() < until
-        time.sleep(0.005)

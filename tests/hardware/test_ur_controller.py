@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from rcs.errors import DeviceFault
-from rcs.hardware.ur_controller import Dashboard, require_controller
+from rcs.hardware.ur_controller import Dashboard, require_controller, stop_program
 
 ADDRESS = f"127.{192 + (os.getpid() >> 8) % 63}.{os.getpid() % 250 + 1}.1"
 BANNER = b"Connected: Universal Robots Dashboard Server\n"
@@ -133,3 +133,17 @@ def test_a_dashboard_that_hangs_up_is_a_fault(peers: list[Peer]) -> None:
         peers[0].clients[0].close()
         with pytest.raises(DeviceFault, match=r"closed the connection|is lost"):
             client.ask("robotmode")
+
+
+@pytest.mark.parametrize("is_running", [True, False])
+def test_a_stop_that_fails_is_a_fault_where_a_program_runs(peers: list[Peer], is_running: bool) -> None:
+    """Without one, as after a protective stop, there is nothing to stop."""
+
+    def answer(data: bytes) -> bytes:
+        return b"Failed to execute: stop\n" if data == b"stop\n" else f"Program running: {is_running}\n".encode()
+
+    peers.append(Peer(29999, answer, BANNER))
+    with contextlib.ExitStack() as stack:
+        if is_running:
+            stack.enter_context(pytest.raises(DeviceFault, match="cannot be stopped: Failed to execute"))
+        stop_program(ADDRESS)

@@ -8,10 +8,11 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 
 import numpy as np
 import pytest
+from moving import is_measured, lead, wait_for_fault, wait_until
 from numpy.typing import NDArray
 
 import rcs
@@ -20,7 +21,7 @@ from rcs.devices import Arm, CommandKind, Gripper, GripperState
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.hardware.xarm import XarmDriver
 from rcs.kinematics import kinematics_of
-from rcs.robots import FRANKA_HAND, ROBOTIQ_2F85, XARM7
+from rcs.robots import ROBOTIQ_2F85, XARM7
 from rcs.spatial import Pose
 from rcs.testing import ArmContract
 from rcs.virtual import VirtualProcess
@@ -79,7 +80,7 @@ class TestContract(ArmContract):
     def _mended(self, virtual: VirtualProcess) -> None:
         type(self).virtual = virtual
 
-    def make_arm(self) -> Arm:
+    def make_device(self) -> Arm:
         return XarmDriver().arm(ADDRESS, XARM7, CALM)
 
     def provoke_fault(self, device: Arm) -> None:
@@ -94,36 +95,6 @@ class TestContract(ArmContract):
     def restore_link(self, device: Arm) -> None:
         self.virtual.tell("clear")
         time.sleep(0.1)
-
-
-def is_measured(arm: Arm) -> bool:
-    try:
-        arm.state()
-    except DeviceFault:
-        return False
-    return True
-
-
-def wait_for_fault(arm: Arm, seconds: float = 3.0) -> str:
-    wait_until(lambda: arm.fault != "", seconds)
-    return arm.fault
-
-
-def wait_until(is_so: Callable[[], bool], seconds: float = 3.0) -> None:
-    until = time.monotonic() + seconds
-    while not is_so():
-        assert time.monotonic() < until
-        time.sleep(0.002)
-
-
-def lead(arm: Arm, target: NDArray[np.float64]) -> None:
-    """Lead an arm to a target, and wait until it is there."""
-    if np.abs(target - arm.state().joints).max() > 0.19:
-        arm.command_joints(arm.state().joints)
-        time.sleep(0.3)  # until it is led: only a first target must be near
-    arm.command_joints(target)
-    wait_until(lambda: arm.fault != "" or arm.has_arrived(), 10.0)
-    assert arm.fault == ""
 
 
 def place() -> NDArray[np.float64]:
@@ -415,60 +386,3 @@ def test_a_firmware_that_is_too_old_is_refused(version: str, reason: str, virtua
 
 def test_the_library_changes_no_timeout_of_other_sockets(arm: Arm) -> None:
     assert socket.getdefaulttimeout() is None
-
-
-def test_what_a_driver_cannot_do_it_refuses() -> None:
-    for options, match in (
-        ({"rate": 1000}, "30 to 250"),
-        ({"speed": 0}, "0.01 to 1"),
-        ({"tcp_speed": 1.5}, "0.001 to 0.95"),
-        ({"tcp": [0, 0, 1]}, "7 numbers"),
-        ({"rat": 100}, "Did you mean 'rate'"),
-    ):
-        with pytest.raises(InvalidSetup, match=match):
-            XarmDriver().arm("192.0.2.1", XARM7, options)
-    with pytest.raises(InvalidSetup, match="Robotiq"):
-        XarmDriver().gripper("192.0.2.1", FRANKA_HAND, {})
-
-
-def test_at_the_usual_speed_no_pose_has_the_tcp_too_fast() -> None:
-    arm = XarmDriver().arm("192.0.2.1", XARM7, {})
-    chain, tool = kinematics_of(XARM7), Pose((0.0, 0.0, 0.2), (0.0, 0.0, 0.0, 1.0))
-    rng = np.random.default_rng(5)
-    step = 1e-3 * np.array(arm.limits.joint_velocity)
-    for _ in range(3000):
-        joints = rng.uniform(XARM7.joint_lower, XARM7.joint_upper)
-        there = joints + step * rng.choice([-1.0, 1.0], 7)
-        way = (chain.forward(there) * tool).translation - (chain.forward(joints) * tool).translation
-        assert np.linalg.norm(way) <= 1e-3 * 0.95
-
-
-def test_wrong_addresses_are_faults_with_what_to_look_at() -> None:
-    begin = time.monotonic()
-    with pytest.raises(DeviceFault, match=r"127\.1\.1\.1: nothing listens on port 502"):
-        XarmDriver().arm("127.1.1.1", XARM7, {}).open()
-    assert time.monotonic() - begin < 3.0
-
-
-@pytest.mark.parametrize(("answer", "reason"), [(b"", "sends nothing"), (b"HTTP/1.1 400 Bad", "this is not an xArm")])
-def test_a_mute_peer_and_another_device_are_told_of_in_time(answer: bytes, reason: str, served: VirtualProcess) -> None:
-    with socket.create_server((f"{ADDRESS.rpartition('.')[0]}.99", 502)) as peer:
-        program = subprocess.Popen(
-            [sys.executable, "-c", ANSWER, str(peer.fileno()), answer.decode()], pass_fds=[peer.fileno()]
-        )
-        try:
-            begin = time.monotonic()
-            with pytest.raises(DeviceFault, match=reason):
-                XarmDriver().arm(peer.getsockname()[0], XARM7, {}).open()
-            assert time.monotonic() - begin < 3.0
-        finally:
-            program.kill()
-            program.wait()
-
-
-ANSWER = """
-import socket, sys, time
-client, _ = socket.socket(fileno=int(sys.argv[1])).accept()
-client.sendall(sys.argv[2].encode())
-time.sleep(60)
-"""

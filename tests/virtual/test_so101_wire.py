@@ -158,6 +158,15 @@ def test_a_servo_that_presses_for_long_goes_into_overload(tmp_path):
     ]
 
 
+def test_a_servo_without_load_or_torque_is_never_overloaded():
+    with bus_of() as (bus, _):
+        for servo in (1, 2):
+            bus.write(servo, 35, 5, 1)  # protection after 0.05 s
+        bus.write(1, TORQUE_ON, 1, 1)  # the base turns about the vertical and carries nothing
+        time.sleep(0.5)
+        assert [bus.ask(servo, 1)[0][4] for servo in (1, 2)] == [0, 0]
+
+
 def test_undervoltage_and_codes_are_told_by_all_until_they_are_cleared():
     with bus_of() as (bus, world):
         world.tell(["", "undervoltage"])

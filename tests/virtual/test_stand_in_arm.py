@@ -10,8 +10,8 @@ import pytest
 
 import rcs
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 from rcs.testing import ArmContract
 from rcs.virtual import SimDriver, StandInArm
 
@@ -37,7 +37,7 @@ def standing(clock: HandClock, **options: Any) -> StandInArm:
 class TestStandInArm(ArmContract):
     stopping_time = 0.5  # its targets stop at once, and the wrist with the hand then swings for a while
 
-    def make_arm(self) -> StandInArm:
+    def make_device(self) -> StandInArm:
         self.arm = StandInArm(FR3, gripper=FRANKA_HAND, delay=0.02)
         return self.arm
 

@@ -12,7 +12,7 @@
 
 namespace rcs {
 
-/// What an arm can be told. Every arm takes joints.
+/// A kind of command. Every arm takes joints.
 enum class CommandKind : std::uint8_t { joints, pose, twist, velocities, torques };
 
 /// Limits of an arm, one value per joint. The last three are empty where they are unknown.
@@ -25,7 +25,7 @@ struct ArmLimits {
   std::vector<double> joint_effort{};        ///< N·m, positive
 };
 
-/// What an arm measures. What has no value is empty, or NaN.
+/// The measurements of an arm. A missing value is empty, or NaN.
 struct ArmState {
   std::vector<double> joints;              ///< rad
   std::vector<double> joint_velocities;    ///< rad/s
@@ -54,7 +54,7 @@ class RCS_API Arm : public Device {
   /// Joint targets [rad], within the limits. A joint that was found outside may stay there and come back: its target
   /// may be as far out as where it was measured last, or sent last.
   void command_joints(std::span<const double> joints, double valid_for = kForever);
-  /// Where the TCP shall go.
+  /// The goal of the TCP.
   void command_pose(const Pose& pose_tcp_in_base, double valid_for = kForever);
   /// Velocity of the TCP in the frame of the base: 3 × m/s, 3 × rad/s.
   void command_twist(std::span<const double> twist, double valid_for = kForever);

@@ -1,4 +1,4 @@
-// What a world calls while it steps, and the callbacks that every robot needs.
+// Callbacks of a world while it steps, and those that every robot needs.
 #pragma once
 
 #include <mujoco/mujoco.h>
@@ -27,7 +27,7 @@ class StepCallback {
   virtual bool call(const StepView& view) = 0;
   /// Forget what was remembered of a copy; its episode starts anew.
   virtual void reset(int /*copy*/) {}
-  /// What is remembered of a copy, to be saved and written back with the copy's state; of the same size at all times.
+  /// The memory of a copy, to be saved and written back with the copy's state; of the same size at all times.
   virtual std::span<double> memory(int /*copy*/) { return {}; }
   /// Throws `InvalidSetup` if it cannot be called in a world of this model and number of copies.
   virtual void check(const mjModel* /*model*/, int /*copies*/) const {}

@@ -14,7 +14,7 @@
 
 namespace rcs {
 
-/// What a camera delivers, and at what size.
+/// The images of a camera, and their size.
 struct CameraMode {
   int width = 0;           ///< pixels
   int height = 0;          ///< pixels

@@ -1,4 +1,4 @@
-// Whether robots touch anything: distances and contacts of their geometry at given joints, and along joint motions.
+// Checks of collisions: distances and contacts of their geometry at given joints, and along joint motions.
 #pragma once
 
 #include <mujoco/mujoco.h>
@@ -25,7 +25,7 @@ struct Clearance {
   std::array<int, 2> geoms = {-1, -1};                        ///< ids of the nearest pair; -1 when none is that near
 };
 
-/// Where a joint motion first comes too near.
+/// The place of a joint motion where it first comes too near.
 struct Hit {
   double fraction = 0.0;    ///< of the motion, 0 … 1, at which a pair was found too near
   double free_until = 0.0;  ///< fraction up to which no pair was; 0 when the motion starts too near
@@ -74,7 +74,7 @@ class CollisionChecker {
   /// A geom in words, such as "geom 'shelf' of body 'rack'".
   std::string describe(int geom) const;
 
-  /// Where everything else is: free bodies, other joints (fingers), mocap bodies. Sizes nq, 3 × nmocap, 4 × nmocap
+  /// The places of everything else: free bodies, other joints (fingers), mocap bodies. Sizes nq, 3 × nmocap, 4 × nmocap
   /// (wxyz); empty mocap arrays leave these bodies where they are. The robots' own entries only say where they were
   /// when something is attached.
   void set_state(std::span<const double> qpos, std::span<const double> mocap_pos = {},
@@ -89,7 +89,7 @@ class CollisionChecker {
 
   /// Smallest distance at joints `q`, if below `margin` [m].
   Clearance clearance(std::span<const double> q, double margin) const;
-  /// Whether no pair is nearer than `margin` [m] at joints `q`.
+  /// Return whether no pair is nearer than `margin` [m] at joints `q`.
   bool is_free(std::span<const double> q, double margin = 0.0) const;
   /// The first place on the straight joint motion where a pair is nearer than the margin; none when it is free.
   std::optional<Hit> first_hit(std::span<const double> from, std::span<const double> to,

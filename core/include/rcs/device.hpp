@@ -1,4 +1,5 @@
-// What all devices share: a name, a connection, deadlines of commands, and a fault that stays until `recover`.
+// The parts that all devices share: a name, a connection, deadlines of commands, and a fault that stays until
+// `recover`.
 #pragma once
 
 #include <atomic>
@@ -29,8 +30,8 @@ RCS_API double monotonic_time();
 /// a command that another thread gave before does not move the device: if it was still under way, the device is held
 /// again as soon as it ends. All other calls are for one thread at a time.
 ///
-/// What a driver's function throws is the device's fault, in its words, and reaches the caller as `DeviceFault`; only
-/// what refuses a command or an option passes as it is.
+/// An exception of a driver's function is the device's fault, in its words, and reaches the caller as `DeviceFault`;
+/// only the refusal of a command or an option passes as it is.
 ///
 /// An open device can be stopped from elsewhere at any time, so close it before you destroy it.
 class RCS_API Device {
@@ -51,9 +52,9 @@ class RCS_API Device {
   /// Stop where the device is now and stay there; one that no command has energised stays as it is. Allowed in the
   /// fault state.
   void hold();
-  /// Whether the last target is reached and the device stands still.
+  /// True if the last target is reached and the device stands still.
   bool has_arrived();
-  /// Whether a person can move the device by hand.
+  /// True if a person can move the device by hand.
   virtual bool can_guide() const { return false; }
   /// Let a person move the device by hand, or hold it again. While it is guided, commands throw `WrongOrder`; `hold`,
   /// a fault and `close` end it. Throws `InvalidCommand` when the device cannot be guided.
@@ -71,7 +72,7 @@ class RCS_API Device {
   /// Hold and let go of the device. Closing twice is harmless. What fails is a fault and is thrown when all is done;
   /// nothing is thrown in the fault state, which is known.
   void close();
-  /// Whether stopping it means anything: not so for sensors.
+  /// True if it can be stopped, unlike a sensor.
   virtual bool moves() const { return true; }
 
  protected:
@@ -118,7 +119,7 @@ class RCS_API Device {
       throw;
     }
   }
-  /// What something says that the driver has thrown, as a fault; nothing when it refuses a command or an option.
+  /// The words of an exception of the driver, as a fault; nothing when it refuses a command or an option.
   virtual std::optional<std::string> words_of(const std::exception& error) const;
 
   /// Connect; energise nothing. After a failure follows `do_close`.

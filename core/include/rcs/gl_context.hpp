@@ -13,7 +13,7 @@
 
 namespace rcs {
 
-/// What a look at one backend found.
+/// The result of a look at one backend.
 struct GlProbe {
   std::string name;    ///< "egl" or "osmesa"
   bool ok = false;     ///< whether a context could be made that MuJoCo can draw with

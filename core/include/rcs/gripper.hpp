@@ -8,7 +8,7 @@
 
 namespace rcs {
 
-/// What a gripper measures. NaN is what it does not measure.
+/// The measurements of a gripper. NaN stands for one that it does not have.
 struct GripperState {
   double opening = 0.0;       ///< 0 closed … 1 open
   double force = kNaN;        ///< N, grasping force

@@ -9,7 +9,7 @@
 
 namespace rcs {
 
-/// What a hand measures.
+/// The measurements of a hand.
 struct HandState {
   std::vector<double> joints;  ///< normalised, 0 … 1 of each joint's range
   double time = kNaN;          ///< s, when it was measured, on the host's monotonic clock

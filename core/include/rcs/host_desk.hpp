@@ -30,7 +30,8 @@ struct HostRequest {
   bool is_void;                 ///< the device was held since, so that the request counts no more
 };
 
-/// Where one device of a host is served. A thread holds it when the program says so, ends, or shows no sign of running.
+/// The place where one device of a host is served. A thread holds it when the program says so, ends, or shows no sign
+/// of running.
 class HostDesk {
  public:
   /// Longest time without a sign of the program [s].
@@ -42,7 +43,7 @@ class HostDesk {
   HostDesk(const HostDesk&) = delete;
   HostDesk& operator=(const HostDesk&) = delete;
 
-  /// Whether the program is still there.
+  /// True if the program is still there.
   bool is_used() const { return is_used_; }
   /// Say what is done from now on, and that there is a sign after `seconds` at the latest.
   void promise(const char* under_way, double seconds);

@@ -17,8 +17,8 @@
 
 namespace rcs {
 
-/// What a program asks of the host of a device. Of the commands, which come first, a newer one takes the place of one
-/// that waits.
+/// Requests of a program to the host of a device. Among the commands, which come first, a newer one takes the place of
+/// one that waits.
 enum class HostCall : std::int32_t {
   joints,
   pose,
@@ -40,7 +40,7 @@ enum class HostOutcome : std::int32_t {
   fault,        ///< the device is in its fault state
 };
 
-/// What the program has of a host that it is connected to. Who takes it closes the files.
+/// The files of a host that the program is connected to. The owner of this closes them.
 struct HostConnection {
   int memory;   ///< a file of shared memory, all zero
   int socket;   ///< open as long as the other side is there
@@ -50,7 +50,7 @@ struct HostConnection {
 class HostLink;
 struct HostMeasured;
 
-/// What devices of all kinds with a host share. Their life is that of `Device`; its calls become the host's.
+/// The part that devices of all kinds with a host share. Their life is that of `Device`; its calls become the host's.
 ///
 /// A thread shows the host that the program runs, without the interpreter, and looks after the host. A host that ends,
 /// or does not return from a call in time, is a fault of its device; the latter is killed, for what it does later must
@@ -72,7 +72,7 @@ class HostLine {
   bool has_arrived();
   void command(HostCall call, std::span<const double> values, double valid_for, double force = kNaN,
                double period = 0.0);
-  /// What the device last measured. Throws `DeviceFault` when it does not measure any more.
+  /// The last measurement of the device. Throws `DeviceFault` when it does not measure any more.
   HostMeasured measured();
   /// The number of the host's process, or 0.
   int process() const;
@@ -88,7 +88,7 @@ class HostLine {
   std::shared_ptr<HostLink> link_;  // another thread may hold while `recover` makes a new one
 };
 
-/// What the three kinds have in common: the calls of `Device` go to the line.
+/// The common part of the three kinds: the calls of `Device` go to the line.
 template <typename Base>
 class Hosted : public Base {
  public:
@@ -118,7 +118,7 @@ class HostedArm : public Hosted<Arm> {
   /// `like` is an arm of the driver that is never opened: its name, limits and kinds of commands are this one's.
   HostedArm(const Arm& like, HostLine::Connect connect, double answer);
 
-  /// Whether it is a `StreamedArm` there. Only such an arm has what follows.
+  /// True if it is a `StreamedArm` there. Only such an arm has the following.
   bool is_streamed() const { return rate_ > 0.0; }
   /// Time between commands [s], for which they are planned. Set it before the first one.
   double period() const { return period_; }

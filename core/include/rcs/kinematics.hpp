@@ -85,8 +85,9 @@ class Kinematics {
   virtual std::vector<double> joint_upper() const = 0;  ///< rad
   /// Pose of the TCP in the base frame for joints [rad].
   virtual Pose forward(std::span<const double> joints) = 0;
-  /// Joints that bring the TCP to `target` (in the base frame), looked for from `start` [rad].
-  virtual IkResult inverse(const Pose& target, std::span<const double> start, const IkOptions& options) = 0;
+  /// Joints that bring the TCP to `target` (in the base frame), looked for from `start` [rad]. Unless overridden,
+  /// damped least squares by `forward` and `jacobian`, as of `DampedLeastSquares`.
+  virtual IkResult inverse(const Pose& target, std::span<const double> start, const IkOptions& options);
   /// Jacobian of the TCP in the base frame: 6 × dof, row-major, translation rows [m/rad] above rotation rows [rad/rad].
   /// Unless overridden, central differences of `forward`.
   virtual std::vector<double> jacobian(std::span<const double> joints);
@@ -117,13 +118,15 @@ class Kinematics {
                      std::span<std::uint8_t> status, std::span<double> errors);
 
  protected:
-  /// Whether several threads may call at once.
+  /// True if several threads may call at once.
   virtual bool is_thread_safe() const { return false; }
   /// Solve the rows of a batch, whose shapes and numbers are checked, on at most `threads` threads.
   void solve_rows(std::span<const double> targets, std::span<const double> starts, const IkOptions& options,
                   int threads, std::span<double> joints, std::span<std::uint8_t> status, std::span<double> errors);
   /// Throws `InvalidSetup` for a wrong number of joints and for one that is not finite.
   void check_joints(std::span<const double> joints) const;
+  /// Throws `InvalidSetup` for options of another number of joints.
+  void check_options(const IkOptions& options) const;
 };
 
 /// Damped least squares on a chain of hinges and slides, with the joint limits inside the solve.
@@ -157,37 +160,14 @@ class DampedLeastSquares final : public Kinematics {
   bool is_thread_safe() const override { return true; }
 
  private:
-  /// What one call computes in.
+  /// The memory in which a call computes.
   struct Scratch;
   struct GiveBack {
     const DampedLeastSquares* owner;
     void operator()(Scratch* scratch) const;
   };
   using Lease = std::unique_ptr<Scratch, GiveBack>;
-  /// How an attempt ended.
-  enum class End : std::uint8_t { reached, at_max_step, nearest };
-
-  /// How much of a step to make.
-  struct Stride {
-    double largest = 0.0;     ///< entry of the whole step [rad]
-    double scale = 1.0;       ///< share to make
-    double stiffness = 0.0;   ///< smallest squared change of the error per squared radian, when the share is below 1
-    bool is_at_edge = false;  ///< whether that share ends at the largest change from the start
-  };
-
   Lease borrow() const;
-  void check_options(const IkOptions& options) const;
-  /// Take `q` towards the target, by `max_step` at most; empty for no bound. Errors and iterations go into `result`.
-  End attempt(Scratch& scratch, const std::array<double, 7>& target, std::vector<double>& q,
-              std::span<const double> max_step, const IkOptions& options, IkResult& result) const;
-  /// Write the step from the present Jacobian to `scratch.step`; joints that it would take past a limit go up to it.
-  Stride solve_step(Scratch& scratch, const std::vector<double>& q, const std::vector<double>& start,
-                    std::span<const double> max_step, const IkOptions& options, double weight, double damping) const;
-  /// Decrease of the squared weighted error by a share of `scratch.step`, if the Jacobian held all along.
-  static double promised(const Scratch& scratch, double weight, double scale);
-  /// Translation [m] and rotation (as a rotation vector [rad]) from the present TCP to the target: position and
-  /// quaternion wxyz in the base frame.
-  static std::array<double, 6> error_to(const Scratch& scratch, const std::array<double, 7>& target);
 
   std::vector<int> joints_;
   std::unique_ptr<const SerialChain> chain_;

@@ -1,4 +1,4 @@
-// What is measured after a physics step: torques at the joints, the wrench on the tool, touching fingers, how objects
+// Measurements after a physics step: torques at the joints, the wrench on the tool, touching fingers, how objects
 // move.
 #pragma once
 
@@ -21,7 +21,7 @@ class Measurement {
   virtual void read(const mjModel* model, const mjData* data, std::span<double> values) const = 0;
   /// Throws `InvalidSetup` if it was made for another model.
   virtual void check(const mjModel* model) const = 0;
-  /// Whether it reads forces, for which all of a state must be computed anew after it was written to.
+  /// True if it reads forces, for which all of a state must be computed anew after it was written to.
   virtual bool needs_forces() const { return true; }
 };
 

@@ -15,7 +15,7 @@ namespace rcs {
 
 class TcpSprings;
 
-/// What an arm gives way with when it is pushed, six numbers each: along x, y, z of the base [N/m, N·s/m], about them
+/// The compliance of an arm that is pushed, six numbers each: along x, y, z of the base [N/m, N·s/m], about them
 /// [N·m/rad, N·m·s/rad]. Where they are empty, the gains of the position servos are the springs and dampers of the
 /// joints.
 struct Springs {
@@ -58,7 +58,7 @@ class Motion final : public StepCallback {
   const std::vector<int>& joints() const { return joints_; }
   const MotionLimits& limits() const { return limits_; }
   bool gives_way() const { return springs_.has_value(); }
-  /// Whether the trajectory in this memory of a copy has come to its target.
+  /// True if the trajectory in this memory of a copy has come to its target.
   bool has_ended(const double* memory, int copy);
 
   /// Plan the motion of a step. The target is what was written into the first `dof` numbers. Joints that were told to
@@ -66,12 +66,12 @@ class Motion final : public StepCallback {
   void begin(const mjModel* model, mjData* data, int copy, const Step& step);
   /// Write the controls of the next physics step.
   void advance(const mjModel* model, mjData* data, int copy);
-  /// Where the joints are led to at present: positions, velocities and accelerations, `dof` numbers each.
+  /// The present reference of the joints: positions, velocities and accelerations, `dof` numbers each.
   std::vector<double> state(const mjData* data, int copy);
   /// Time until the joints are to stand still [s].
   double remaining(const mjData* data, int copy);
 
-  /// What a step to a target would do: where the joints are led to, `dof` numbers each, from now to the end of the step
+  /// The effect of a step to a target: where the joints are led to, `dof` numbers each, from now to the end of the step
   /// and while they brake to rest from there, at most every `tick` [s] and at the same times for all motions; in a
   /// synchronous step, until they stand. Without a target, they are told to hold. Nothing changes but what is derived
   /// in `data`.

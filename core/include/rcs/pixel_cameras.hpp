@@ -17,7 +17,7 @@ namespace rcs {
 
 struct Backdrop;
 
-/// What a stack of frames becomes when its copy is shown.
+/// The change of a stack of frames when its copy is shown.
 enum class FrameUse : std::uint8_t {
   keep,     ///< what it was
   advance,  ///< the frames move up, and the newest is added
@@ -25,7 +25,7 @@ enum class FrameUse : std::uint8_t {
   replace,  ///< the newest frame in the place of the last newest
 };
 
-/// What is made of each camera's frames.
+/// The use of each camera's frames.
 struct PixelLayout {
   bool is_grayscale = false;  ///< one channel, luma as in ITU-R BT.601, instead of red, green, blue
   int stack = 1;              ///< frames that an observation has, the newest last
@@ -51,16 +51,16 @@ class PixelCameras : public Watcher {
                const RenderOptions& options);
   ~PixelCameras() override;
 
-  /// Where frames go from now on, and where those of the last step are, one array for each camera. From null, every
+  /// The place of the next frames, and that of those of the last step, one array for each camera. From null, every
   /// stack starts with the newest frame. Forgets which copies were drawn.
   void turn(std::vector<std::uint8_t*> to, std::vector<const std::uint8_t*> from);
-  /// Whether a copy was drawn in a step since the last `turn`, for each copy.
+  /// True if a copy was drawn in a step since the last `turn`, for each copy.
   const std::vector<std::uint8_t>& drawn() const { return drawn_; }
-  /// Whether there are frames of the step before.
+  /// True if there are frames of the step before.
   bool can_keep() const { return !to_.empty() && !from_.empty(); }
   /// Fill the arrays of a copy with its frames of the step before.
   void keep(int copy);
-  /// What `see` does with each copy.
+  /// The task of `see` for each copy.
   void set_uses(std::span<const FrameUse> uses);
 
   void see_step(const mjModel* model, mjData* data, int copy) override;

@@ -66,7 +66,7 @@ class Pose {
   std::array<double, 16> matrix() const noexcept;
   /// Roll, pitch, yaw [rad] about the fixed x, y, z axes: roll and yaw in (-pi, pi], pitch in [-pi/2, pi/2].
   ///
-  /// Where pitch is ±pi/2 only the sum or the difference of roll and yaw is determined; roll is 0 there. Accurate at
+  /// At a pitch of ±pi/2 only the sum or the difference of roll and yaw is determined; roll is 0 there. Accurate at
   /// every pitch, unlike the arcsine of a matrix entry: Bernardes and Viollet, "Quaternion to Euler angles conversion",
   /// 2022.
   std::array<double, 3> rpy() const noexcept;
@@ -94,9 +94,9 @@ class Pose {
   double angle_to(const Pose& other) const noexcept;
   /// Distance of the origin to that of another pose, m.
   double distance_to(const Pose& other) const noexcept;
-  /// Whether another pose is within a distance [m] and an angle [rad].
+  /// True if another pose is within a distance [m] and an angle [rad].
   bool is_close(const Pose& other, double metres, double radians) const noexcept;
-  /// Whether every bit is the same.
+  /// True if every bit is the same.
   bool operator==(const Pose& other) const noexcept = default;
 
  private:

@@ -66,7 +66,7 @@ class RenderPool {
   struct FreeModel {
     void operator()(mjModel* model) const { mj_deleteModel(model); }
   };
-  /// What one thread draws with.
+  /// The tools of one drawing thread.
   struct Painter {
     std::unique_ptr<Renderer> renderer;
     std::unique_ptr<mjModel, FreeModel> model;  // of the copy at work, made when models first differ

@@ -1,4 +1,4 @@
-// What calls report when nothing is wrong with the program: outcomes are values, errors are exceptions.
+// Outcomes of calls when nothing is wrong with the program: outcomes are values, errors are exceptions.
 #pragma once
 
 #include <cstdint>
@@ -19,7 +19,7 @@ enum class StepEnd : std::uint8_t {
   fault,        ///< a robot went into its fault state, as after a collision
 };
 
-/// What inverse kinematics found.
+/// The result of inverse kinematics.
 enum class IkStatus : std::uint8_t {
   ok,          ///< the target is reached within the tolerances
   clamped,     ///< the target is farther away than allowed, the answer is the allowed step towards it

@@ -12,7 +12,7 @@ template <typename T>
 bool clip_rows(std::span<const T> values, std::span<const T> lower, std::span<const T> upper, double tolerance,
                std::span<T> clipped);
 
-/// What bounds the targets of joints, one value per joint.
+/// The bounds of the targets of joints, one value per joint.
 struct StepLimits {
   std::span<const double> max_step;  ///< rad
   std::span<const double> max_lead;  ///< rad

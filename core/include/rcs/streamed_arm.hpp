@@ -16,14 +16,14 @@
 
 namespace rcs {
 
-/// Where the joints are to be at one tick, one value per joint.
+/// The setpoint of the joints at one tick, one value per joint.
 struct StreamPoint {
   std::vector<double> position;      ///< rad
   std::vector<double> velocity;      ///< rad/s
   std::vector<double> acceleration;  ///< rad/s²
 };
 
-/// Where the TCP may be, in the frame of the base.
+/// The places where the TCP may be, in the frame of the base.
 struct TcpBox {
   std::array<double, 3> lower;  ///< m
   std::array<double, 3> upper;  ///< m
@@ -91,8 +91,8 @@ class RCS_API StreamedArm : public Arm {
   std::uint64_t missed_ticks() const;
   /// Commands since `open` whose time was over before the next one.
   std::uint64_t lapses() const;
-  /// What keeps the thread from running in real time and the line that mends it; empty when nothing does. Known once
-  /// the arm is open.
+  /// The reason why the thread does not run in real time, and the line that mends it; empty when there is none. Known
+  /// once the arm is open.
   std::string real_time_advice() const;
 
  protected:

@@ -65,9 +65,9 @@ class RCS_API Trajectory {
   int dof() const { return static_cast<int>(limits_.lower.size()); }
   const MotionLimits& limits() const { return limits_; }
 
-  /// Whether the joints were told to hold: the order is one number that is not 0, which any thread may write.
+  /// True if the joints were told to hold: the order is one number that is not 0, which any thread may write.
   bool is_told_to_hold(const double* memory) const { return memory[size(dof()) - 1] != 0.0; }
-  /// Whether the target that was written into the memory asks for a new plan.
+  /// True if the target that was written into the memory asks for a new plan.
   bool is_asked(const double* memory);
   /// Plan the motion of a step to the target, with this share of the acceleration (0 … 1).
   void follow(double* memory, const Step& step, double share);
@@ -87,7 +87,7 @@ class RCS_API Trajectory {
   std::span<const double> acceleration() const;
   /// Time until the joints are to stand still [s]; of a stream, until the plan is used up.
   double remaining(const double* memory);
-  /// Whether nothing is planned but to stand.
+  /// True if nothing is planned but to stand.
   bool is_still(const double* memory);
 
  private:

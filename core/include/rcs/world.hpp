@@ -72,7 +72,7 @@ class World {
   /// Have a motion lead its joints in every step. One that takes the user data of another is not added: that is
   /// returned.
   std::shared_ptr<Motion> add_motion(std::shared_ptr<Motion> motion);
-  /// What the next step of a copy would do to the joints of a motion; see `Motion::preview`. Throws `InvalidSetup` for
+  /// The effect of the next step of a copy on the joints of a motion; see `Motion::preview`. Throws `InvalidSetup` for
   /// a motion that is not of this world, or a target of another size.
   std::vector<double> preview(const std::shared_ptr<Motion>& motion, int copy, std::span<const double> target,
                               double tick);
@@ -152,7 +152,7 @@ class World {
   ModelField expand(const std::string& field);
   /// The same for a field that has values per copy already; nothing for one that has not.
   std::optional<ModelField> expanded(const std::string& field);
-  /// Whether any field has values per copy.
+  /// True if any field has values per copy.
   bool is_varied() const { return is_varied_; }
   /// Recompute what the models of a batch's copies derive from masses, inertias and sizes (`mj_setConst`).
   void set_constants() { set_chosen_constants(std::nullopt); }
@@ -206,7 +206,7 @@ class World {
     double closed;
     double open;
   };
-  // What is read, in memory of its own: a view of it may outlive the world.
+  // The readings, in memory of their own: a view of it may outlive the world.
   struct Readouts {
     std::vector<double> poses;
     std::vector<double> xyzrpy;

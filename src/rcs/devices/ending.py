@@ -27,7 +27,7 @@ def hold_at_the_end() -> None:
 
     def on_exception_in_thread(args: threading.ExceptHookArgs) -> None:
         if not issubclass(args.exc_type, SystemExit) and not hasattr(sys, "ps1"):
-            thread = args.thread.name if args.thread is not None else "that has ended"
+            thread = getattr(args.thread, "name", "that has ended")
             stop_all(f"the thread {thread!r} ended with {args.exc_type.__name__}: {args.exc_value}")
         thread_hook(args)
 

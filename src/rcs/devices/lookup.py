@@ -13,7 +13,7 @@ from rcs.errors import InvalidSetup, UnknownName
 
 Kind = Literal[
     "arm", "gripper", "hand", "camera", "tactile", "lab", "task", "agent", "layer", "gate", "driver", "operator",
-    "policy", "wire",
+    "wire",
 ]  # fmt: skip
 OBJECTS = ("arm", "gripper", "hand", "camera", "tactile", "lab")
 """Kinds that are objects; the others are classes."""
@@ -43,6 +43,8 @@ def find(kind: Kind, given: Any) -> Any:
     entries = _entries(kind)
     if given not in entries:
         hint = f"A package registers one in the entry-point group {_group(kind)!r}; `module:Class` is valid too."
+        if kind == "driver":
+            hint += " A device is 'driver:address', such as 'franka:192.168.0.1'."
         raise UnknownName(kind, given, entries, hint)
     entry = entries[given]
     try:
@@ -118,8 +120,7 @@ def _own_names(place: Any) -> list[str]:
 
 
 def _group(kind: Kind) -> str:
-    irregular = {"policy": "rcs.policies", "tactile": "rcs.tactiles"}
-    return irregular.get(kind, f"rcs.{kind}s")
+    return f"rcs.{kind}s"
 
 
 def _entries(kind: Kind) -> dict[str, EntryPoint]:

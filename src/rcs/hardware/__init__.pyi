@@ -1,3 +1,4 @@
+from rcs.hardware.device_clock import DeviceClock as DeviceClock
 from rcs.hardware.driver import Driver as Driver
 from rcs.hardware.driver import HostTimes as HostTimes
 from rcs.hardware.fake import FakeDriver as FakeDriver

@@ -6,10 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NoReturn, TypeVar
 
-from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand
+from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
 from rcs.errors import InvalidSetup
 from rcs.hardware.link import Link
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.robots.camera import CameraDescription
+from rcs.robots.description import ArmDescription, GripperDescription, HandDescription
 from rcs.robots.tactile import TactileDescription
 
 Connection = TypeVar("Connection")
@@ -99,3 +100,53 @@ class Driver:
 
     def _refuse(self, what: str) -> NoReturn:
         raise InvalidSetup(f"The driver {type(self).__name__} makes no {what}; choose another driver for them.")
+
+
+def driver_named(name: str) -> Driver:
+    """Return a new instance of a driver.
+
+    Args:
+        name: An entry point of `rcs.drivers`, or `module:Class`.
+
+    Raises:
+        UnknownName: There is no such driver.
+        InvalidSetup: The name is that of something else.
+    """
+    found = lookup.find("driver", name)
+    if not isinstance(found, type) or not issubclass(found, Driver):
+        raise InvalidSetup(f"The driver {name!r} is {found!r}; valid is a subclass of rcs.hardware.Driver.")
+    return found()
+
+
+def require_address(what: str, address: str) -> None:
+    """Check that a site gives the network address of a device.
+
+    Raises:
+        InvalidSetup: It is empty.
+    """
+    if not address:
+        raise InvalidSetup(f"The {what} has no address; give its IP address, as in 'driver:192.168.0.1'.")
+
+
+def require_fits(driver: str, about: ArmDescription, known: ArmDescription) -> None:
+    """Check that a description is that of the arm that a driver controls: as many joints, in no wider ranges.
+
+    Raises:
+        InvalidSetup: It is that of another arm.
+    """
+    if about.dof != known.dof:
+        what = f"has {about.dof} joints, not {known.dof}"
+    else:
+        own, usual = (zip(one.joint_lower, one.joint_upper, strict=True) for one in (about, known))
+        wider = [
+            f"{joint} from {lower:.2f} to {upper:.2f} rad, not {least:.2f} to {most:.2f}"
+            for joint, (lower, upper), (least, most) in zip(known.joints, own, usual, strict=True)
+            if lower < least - 1e-6 or upper > most + 1e-6
+        ]
+        if not wider:
+            return
+        what = f"has {wider[0]}"
+    raise InvalidSetup(
+        f"The driver {driver} controls the {known.label}; {about.name!r} {what}. Choose the robot {known.name!r}, or "
+        "the driver of that arm."
+    )

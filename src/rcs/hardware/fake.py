@@ -12,7 +12,8 @@ from rcs.devices import ArmLimits, CameraMode
 from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper, FakeHand
 from rcs.errors import require_fields
 from rcs.hardware.driver import Driver
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.robots.camera import CameraDescription
+from rcs.robots.description import ArmDescription, GripperDescription, HandDescription
 from rcs.robots.tactile import TactileDescription
 
 

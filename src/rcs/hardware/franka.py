@@ -13,31 +13,31 @@ import logging
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
+from rcs_data.options import NotNegative, Record
 
 from rcs.devices import Arm, ArmState, StreamedArm, StreamOptions, StreamPoint
 from rcs.errors import DeviceFault, InvalidSetup, require_fields
 from rcs.extras import package_of
-from rcs.hardware.driver import Driver
-from rcs.hardware.franka_faults import advice_for, connected, fault_of, mode_of, within
+from rcs.hardware.driver import Driver, require_address, require_fits
+from rcs.hardware.franka_faults import advice_for, connected, fault_of, make_idle, mode_of, within
 from rcs.hardware.franka_hand import FrankaHand
 from rcs.hardware.franka_limits import limits_of_fr3
 from rcs.kinematics import kinematics_of
 from rcs.kinematics.chain import damped
 from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, GripperDescription
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 
 RATE: Final = 500.0
 """Rate of updates of the reference [Hz]."""
 STOPPING: Final = 0.5
 """Timeout for the confirmation of a stop [s]."""
-RECOVERING: Final = 1.0
-"""Timeout for becoming idle after a recovery [s]."""
 TORQUE_STEP: Final = 0.99
 """Largest change of a torque per millisecond [N·m]; the robot admits 1.0."""
 NO_CUTOFF: Final = 1000.0
@@ -58,48 +58,36 @@ _log = logging.getLogger(__name__)
 
 Backend = Literal["franky", "pylibfranka"]
 Vector = NDArray[np.float64]
+JointTorques = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrankaOptions:
+class FrankaOptions(Record):
     """A site's options for an arm."""
 
     backend: Backend = "franky"
     """Library that controls the arm; `pylibfranka`, the vendor's, takes joints only and runs in a separate process."""
     compliance: Compliance | None = None
     """Compliance of the arm, from the setup; None for joints as stiff as is safe."""
-    collision_torque: tuple[float, ...] | None = None
+    collision_torque: JointTorques | None = None
     """Collision threshold of the external torque at each joint [N·m], 7 values; None for the description's."""
-    collision_force: float | None = None
+    collision_force: NotNegative | None = None
     """Collision threshold of the force [N] and moment [N·m] at the TCP; None for the description's."""
-    speed: float = 1.0
+    speed: Annotated[float, Meta(gt=0.0, le=1.0)] = 1.0
     """Fraction of the joint speed limits to use, above 0 and at most 1."""
     whole_range: bool = False
     """Use the full joint ranges and speeds. Fast motions towards the end of a range then trigger a reflex."""
 
     def __post_init__(self) -> None:
-        """Check every field and convert lists to tuples.
+        """Check every field.
 
         Raises:
             InvalidSetup: A value is invalid.
         """
-        if self.backend not in get_args(Backend):
-            raise InvalidSetup(f"backend is {self.backend!r}; valid: {', '.join(get_args(Backend))}.")
+        super().__post_init__()
         if self.backend == "pylibfranka" and self.compliance is not None and self.compliance.is_of_tcp:
             raise InvalidSetup(
                 "TCP compliance needs the backend 'franky'; 'pylibfranka' supports joint compliance only."
             )
-        if not _is_amount(self.speed) or not 0 < self.speed <= 1:
-            raise InvalidSetup(f"speed is {self.speed!r}; valid is a fraction above 0 and at most 1.")
-        if not isinstance(self.whole_range, bool):
-            raise InvalidSetup(f"whole_range is {self.whole_range!r}; valid: true, false.")
-        given: Any = self.collision_torque
-        if given is not None:
-            if not isinstance(given, list | tuple) or len(given) != 7 or not all(map(_is_amount, given)):
-                raise InvalidSetup(f"collision_torque is {given!r}; valid: 7 finite numbers of at least 0.")
-            object.__setattr__(self, "collision_torque", tuple(map(float, given)))
-        if self.collision_force is not None and not _is_amount(self.collision_force):
-            raise InvalidSetup(f"collision_force is {self.collision_force!r}; valid is a finite number of at least 0.")
 
     def thresholds(self, about: ArmDescription) -> tuple[list[float], list[float]]:
         """Return the collision thresholds: 7 joint torques [N·m], and 6 forces [N] and moments [N·m] at the TCP."""
@@ -109,8 +97,14 @@ class FrankaOptions:
         return list(limits.joint_torque if self.collision_torque is None else self.collision_torque), force
 
 
-def _is_amount(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value >= 0
+def stream_options(rate: float, *, is_stiff: bool, is_paced_by_read: bool = False) -> StreamOptions:
+    """Return how an FR3 is streamed to; one that gives way may be farther from where it is led."""
+    return StreamOptions(
+        rate=rate,
+        is_paced_by_read=is_paced_by_read,
+        arrival=0.005 if is_stiff else 0.05,
+        tracking_error=0.3 if is_stiff else 1.0,
+    )
 
 
 class FrankaDriver(Driver):
@@ -130,8 +124,8 @@ class FrankaDriver(Driver):
             UnknownName: An option does not exist.
             InvalidSetup: An option is invalid, or the description is that of another arm.
         """
-        require_fields("option of a Franka arm", options, [field.name for field in fields(FrankaOptions)])
-        given = FrankaOptions(**options)
+        require_address("Franka arm", address)
+        given = FrankaOptions.from_json(options)
         if given.backend == "pylibfranka":
             from rcs.hardware.franka_pylibfranka import PylibfrankaArm
 
@@ -140,6 +134,7 @@ class FrankaDriver(Driver):
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FrankaHand:
         """Return a hand; it takes no options."""
+        require_address("Franka Hand", address)
         require_fields("option of a Franka Hand", options, [])
         return FrankaHand(address, about)
 
@@ -156,18 +151,16 @@ class FrankaArm(StreamedArm):
             options: The site's options; None for the defaults.
 
         Raises:
-            InvalidSetup: The description does not have the FR3's seven joints.
+            InvalidSetup: The description is that of another arm.
         """
-        if about.dof != 7:
-            raise InvalidSetup(f"The driver franka controls arms with seven joints; {about.name!r} has {about.dof}.")
+        require_fits("franka", about, FR3)
         self._options = FrankaOptions() if options is None else options
         given = self._options.compliance
         self._springs = None if given is None else damped(given, about, FRANKA_HAND)
-        is_stiff = given is None
         super().__init__(
             f"{about.name} at {address}",
             limits_of_fr3(about, speed=self._options.speed, whole_range=self._options.whole_range),
-            StreamOptions(rate=RATE, arrival=0.005 if is_stiff else 0.05, tracking_error=0.3 if is_stiff else 1.0),
+            stream_options(RATE, is_stiff=given is None),
         )
         self._address, self._about = address, about
         self._flange = kinematics_of(about)
@@ -267,25 +260,21 @@ class FrankaArm(StreamedArm):
             self._close()
             self._open()
         self._forget_motion()
-        if reason := fault_of(self._fresh_state(), self._about.joints, is_recoverable=False):
-            raise DeviceFault(reason)
-        self._robot.recover_from_errors()
-        begin = time.monotonic()
-        while mode_of(self._fresh_state()) != "Idle":
-            if time.monotonic() - begin > RECOVERING:
-                raise DeviceFault(f"the robot is in mode {mode_of(self._newest)} {RECOVERING:g} s after its recovery")
-            time.sleep(0.01)
+        make_idle(self._fresh_state, self._robot.recover_from_errors, self._about.joints, pause=1e-3)
         self._problem = ""
 
     def _close(self) -> None:
-        if self._has_link and self._robot is not None:
-            self._end_motion()
-        let_go = [self._robot, self._motion]
-        self._robot = self._newest = self._motion = None
         try:
-            within(STOPPING, let_go.clear)  # disconnects; waits for a controller that hangs
-        except TimeoutError:
-            _log.warning("%s has not disconnected within %g s", self.name, STOPPING)
+            if self._has_link and self._robot is not None:
+                self._end_motion()
+        finally:
+            let_go = [self._robot, self._motion]
+            self._robot = self._newest = self._motion = None
+            self._has_link = False
+            try:
+                within(STOPPING, let_go.clear)  # disconnects; waits for a controller that hangs
+            except TimeoutError:
+                _log.warning("%s has not disconnected within %g s", self.name, STOPPING)
 
     def _fresh_state(self) -> Any:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -12,6 +13,12 @@ T = TypeVar("T")
 
 CONNECTING = 2.5
 """Timeout for a controller's first answer [s]."""
+RECOVERING = 1.0
+"""Timeout for becoming idle after a recovery [s]."""
+STAYING = 0.1
+"""Time for which an arm must stay idle to count as recovered [s]."""
+RECOVERIES = 3
+"""Most recoveries in one `recover`."""
 
 _LATE = (
     "too many commands in a row were late or lost: use a separate cable to the control box and a real-time kernel, and "
@@ -59,6 +66,39 @@ def fault_of(state: Any, joints: Sequence[str], *, is_recoverable: bool = True) 
         f"the robot stopped itself (mode Reflex) with {', '.join(names) or 'no error named'}{where}"
         f"{': ' + words if words else ''}; then recover"
     )
+
+
+def make_idle(
+    state: Callable[[], Any], recover: Callable[[], object], joints: Sequence[str], *, pause: float = 0.0
+) -> None:
+    """Recover an arm, which moves nothing, until it stays idle.
+
+    The end of a connection that is found only now, such as that of a process that was killed, is a reflex of its own,
+    which may come after the first recovery.
+
+    Args:
+        state: Returns the arm's present state, as for `fault_of`.
+        recover: Recovers it.
+        joints: Names of the joints.
+        pause: Time between two states [s]; 0 if `state` waits for the next one.
+
+    Raises:
+        DeviceFault: A person must act first, or the arm does not stay idle after `RECOVERIES` recoveries.
+    """
+    for _ in range(RECOVERIES):
+        if reason := fault_of(state(), joints, is_recoverable=False):
+            raise DeviceFault(reason)
+        recover()
+        until = time.monotonic() + RECOVERING
+        while mode_of(state()) != "Idle" and time.monotonic() < until:
+            time.sleep(pause)
+        until = time.monotonic() + STAYING
+        while mode_of(state()) == "Idle":
+            if time.monotonic() > until:
+                return
+            time.sleep(pause)
+    last = state()
+    raise DeviceFault(fault_of(last, joints) or f"the robot is in mode {mode_of(last)} after {RECOVERIES} recoveries")
 
 
 def mode_of(state: Any) -> str:

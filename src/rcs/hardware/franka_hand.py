@@ -22,6 +22,10 @@ SILENCE: Final = 0.3
 """Age of the last state from which the hand counts as silent [s]."""
 
 
+CLOSING: Final = 1.5
+"""Timeout for the end of a connection that is silent [s]; the library gives up after a second."""
+
+
 class FrankaHand(Gripper):
     """A Franka Hand. Closing fingers grasp whatever they meet, with the force of the command."""
 
@@ -40,7 +44,8 @@ class FrankaHand(Gripper):
         self._news = threading.Condition()
         self._wanted: tuple[float, float] | None = None  # width [m], force [N]
         self._given: tuple[float, float] | None = None  # the command in progress, or the last one
-        self._is_busy = self._is_ended = False
+        self._is_busy = False
+        self._ends = threading.Event()  # of one connection
         self._problem = ""
         self._threads: list[threading.Thread] = []
 
@@ -64,19 +69,24 @@ class FrankaHand(Gripper):
         self._state_now = self._hand.state
         self._measured_at = time.monotonic()
         self._wanted = self._given = None
-        self._is_busy = self._is_ended = False
+        self._is_busy = False
         self._problem = ""
+        self._ends = ends = threading.Event()
         self._threads = [
-            threading.Thread(target=self._watch, name=f"{self.name} state", daemon=True),
-            threading.Thread(target=self._act, name=f"{self.name} commands", daemon=True),
+            threading.Thread(target=target, args=(self._hand, ends), name=f"{self.name} {what}", daemon=True)
+            for what, target in (("state", self._watch), ("commands", self._act))
         ]
         for thread in self._threads:
             thread.start()
 
+    @property
+    def _is_silent(self) -> bool:
+        return time.monotonic() - self._measured_at > SILENCE
+
     def _state(self) -> GripperState:
-        age = time.monotonic() - self._measured_at
         problem = self._problem
-        if age > SILENCE:
+        if self._is_silent:
+            age = time.monotonic() - self._measured_at
             problem = problem or f"the hand has sent no state for {age:.2f} s. {advice_for(self._address)}"
         if problem:
             self.set_fault(problem)
@@ -92,7 +102,10 @@ class FrankaHand(Gripper):
     def _command_opening(self, opening: float, force: float | None) -> None:
         self._state()
         if self._state_now.max_width < SAME:
-            raise WrongOrder(f"{self.name}: the hand has not been homed since it was switched on; call home() first")
+            raise WrongOrder(
+                f"{self.name}: the hand has not been homed since it was switched on; home it in Desk "
+                f"(https://{self._address}/desk), which opens and closes its fingers"
+            )
         wanted = (opening * self.max_width, self._about.grasp_force if force is None else force)
         with self._news:
             if _is_same(wanted, self._wanted or self._given or (self._state_now.width, wanted[1])):
@@ -118,34 +131,45 @@ class FrankaHand(Gripper):
             self._hand.stop()
 
     def _recover(self) -> None:
+        if self._is_silent:  # the library cannot reconnect, and the hand serves one connection
+            self._ends.set()
+            self._threads[0].join(CLOSING)
+            self._close()
+            self._open()
         self._problem = ""
 
     def _close(self) -> None:
         with self._news:
-            self._is_ended = True
+            self._ends.set()
             self._news.notify_all()
         for thread in self._threads:
             thread.join(timeout=SILENCE)
         self._threads = []
         self._hand = None
 
-    def _watch(self) -> None:
-        hand = self._hand
-        while not self._is_ended:
+    def _watch(self, hand: Any, ends: threading.Event) -> None:
+        while True:
             try:
                 state = hand.state
             except Exception as err:  # noqa: BLE001 - the library's exceptions have no common base class
-                self._problem = self._problem or f"the connection to the hand is lost: {err}"
+                if ends.is_set():
+                    return
+                self._problem = (
+                    self._problem or f"the connection to the hand is lost: {err}. {advice_for(self._address)}"
+                )
+                return
+            if ends.is_set():
                 return
             self._state_now, self._measured_at = state, time.monotonic()
 
-    def _act(self) -> None:
-        hand = self._hand
+    def _act(self, hand: Any, ends: threading.Event) -> None:
         while True:
             with self._news:
+                if ends.is_set():
+                    return
                 self._is_busy = False
-                self._news.wait_for(lambda: self._is_ended or self._wanted is not None)
-                if self._is_ended or self._wanted is None:
+                self._news.wait_for(lambda: ends.is_set() or self._wanted is not None)
+                if ends.is_set() or self._wanted is None:
                     return
                 self._given, self._wanted = self._wanted, None
                 self._is_busy = True
@@ -153,7 +177,7 @@ class FrankaHand(Gripper):
             try:
                 self._move(hand, width, force)
             except Exception as err:  # noqa: BLE001 - the library's exceptions have no common base class
-                if "aborted" not in str(err):  # by a newer command, or by a hold
+                if "aborted" not in str(err) and not ends.is_set():  # by a newer command, or by a hold
                     self._problem = f"the hand has failed to execute a command: {err}"
 
     def _move(self, hand: Any, width: float, force: float) -> None:

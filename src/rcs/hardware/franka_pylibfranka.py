@@ -14,22 +14,24 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.devices import ArmState, StreamedArm, StreamOptions, StreamPoint
-from rcs.errors import DeviceFault, InvalidSetup
+from rcs.devices import ArmState, StreamedArm, StreamPoint
+from rcs.errors import DeviceFault
 from rcs.extras import package_of
+from rcs.hardware.driver import require_fits
 from rcs.hardware.franka import (
     GUIDING_DAMPING,
     JOINT_DAMPING,
     JOINT_STIFFNESS,
-    RECOVERING,
     TORQUE_STEP,
     FrankaOptions,
+    stream_options,
 )
-from rcs.hardware.franka_faults import advice_for, connected, fault_of, mode_of
+from rcs.hardware.franka_faults import advice_for, connected, fault_of, make_idle, mode_of
 from rcs.hardware.franka_limits import limits_of_fr3
 from rcs.kinematics.chain import damped
 from rcs.robots.description import ArmDescription
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 
 RATE: Final = 1000.0
 """Rate of the robot's packets [Hz]."""
@@ -50,14 +52,13 @@ class PylibfrankaArm(StreamedArm):
             options: The site's options.
 
         Raises:
-            InvalidSetup: The description does not have the FR3's seven joints.
+            InvalidSetup: The description is that of another arm.
         """
-        if about.dof != 7:
-            raise InvalidSetup(f"The driver franka controls arms with seven joints; {about.name!r} has {about.dof}.")
+        require_fits("franka", about, FR3)
         super().__init__(
             f"{about.name} at {address}",
             limits_of_fr3(about, speed=options.speed, whole_range=options.whole_range),
-            StreamOptions(rate=RATE, is_paced_by_read=True, arrival=0.005),
+            stream_options(RATE, is_stiff=options.compliance is None, is_paced_by_read=True),
         )
         self._address, self._about, self._options = address, about, options
         given = None if options.compliance is None else damped(options.compliance, about, FRANKA_HAND)
@@ -97,9 +98,7 @@ class PylibfrankaArm(StreamedArm):
             device_time=state.time.to_sec(),
             commanded_joints=list(state.q if self._led is None else self._led),
             efforts=list(state.tau_J),
-            wrench=[
-                -one for one in state.O_F_ext_hat_K
-            ],  # the controller reports the force of the arm on its environment
+            wrench=[-one for one in state.O_F_ext_hat_K],  # it reports the force of the arm on its environment
             mode=mode_of(state),
         )
 
@@ -159,13 +158,7 @@ class PylibfrankaArm(StreamedArm):
         if not self._has_link:  # the library cannot reconnect
             self._close()
             self._open()
-        if reason := fault_of(self._next_state(), self._about.joints, is_recoverable=False):
-            raise DeviceFault(reason)
-        self._robot.automatic_error_recovery()
-        until = time.monotonic() + RECOVERING
-        while mode_of(self._next_state()) != "Idle":
-            if time.monotonic() > until:
-                raise DeviceFault(f"the robot is in mode {mode_of(self._state)} {RECOVERING:g} s after its recovery")
+        make_idle(self._next_state, self._robot.automatic_error_recovery, self._about.joints)
         self._problem = ""
 
     def _close(self) -> None:

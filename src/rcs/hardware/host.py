@@ -20,14 +20,14 @@ import traceback
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any, NoReturn
 
 from rcs._core import HostCall, HostDesk, HostOutcome, HostRequest
-from rcs.devices import Arm, Gripper, Hand, StreamedArm, lookup, stop_all
+from rcs.devices import Arm, Gripper, Hand, StreamedArm, stop_all
 from rcs.errors import DeviceFault, InvalidAction, RcsError, WrongOrder
-from rcs.hardware.driver import Driver, HostTimes
+from rcs.hardware.driver import Driver, HostTimes, driver_named
 from rcs.hardware.hosted import GREETING, IN_USE, STOP, STOPPED, Place, Wanted, peer
+from rcs.hardware.programs import program_of
 from rcs.spatial import Pose
 
 FAILED_REST = 0.05
@@ -75,7 +75,7 @@ class Host:
                 thread.start()
         finally:
             self._is_ending = True
-            stop_all("its host was told to end")
+            stop_all("its host ends")
             for thread in self._threads:
                 thread.join(HostTimes.close)
 
@@ -143,7 +143,7 @@ class Host:
         with self._lock:
             if not self._lock.wait_for(lambda: not others(), LETTING_GO):
                 user = others()[0]
-                raise DeviceFault(f"{self.place} is in use by process {user} ({_command_of(user)}); end it first.")
+                raise DeviceFault(f"{self.place} is in use by {program_of(user)}; end it first.")
             self._users[kind] = process
         try:
             yield
@@ -174,7 +174,7 @@ class Host:
     def _make(self, wanted: Wanted) -> tuple[Arm | Gripper | Hand, HostTimes]:
         sys.path.extend(path for path in wanted.path if path not in sys.path)
         with self._lock:
-            driver = self._driver = self._driver or lookup.find("driver", wanted.place.driver)()
+            driver = self._driver = self._driver or driver_named(wanted.place.driver)
         return getattr(driver, wanted.kind)(self.place.address, wanted.about, wanted.options), driver.host_times
 
     def _work(self, device: Arm | Gripper | Hand, desk: HostDesk, times: HostTimes) -> None:
@@ -260,14 +260,6 @@ _COMMANDS: dict[HostCall, Callable[[Any, HostRequest], None]] = {
 def in_words(err: Exception) -> str:
     """Return the message of a driver's exception, preceded by its class unless RCS defines it."""
     return str(err) if isinstance(err, RcsError) else f"{type(err).__name__}: {err}"
-
-
-def _command_of(process: int) -> str:
-    try:
-        words = Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
-    except OSError:
-        return "unknown"
-    return words if len(words) <= 80 else f"{words[:77]}..."
 
 
 def _end(*_: object) -> NoReturn:

@@ -29,6 +29,8 @@ from rcs.devices import Arm, Gripper, Hand
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.driver import Driver, HostTimes
 
+LONGEST_PATH = 107
+"""Most bytes of the path of a Unix socket (man 7 unix)."""
 START = 10.0
 """Timeout for the start of a host [s]; importing this package and NumPy takes 0.3 s on an idle machine."""
 GREETING, DEVICE, STOP, STOPPED = b"here", b"open", b"stop", b"held"
@@ -50,10 +52,17 @@ class Place:
 
     @property
     def socket(self) -> Path:
-        """Path of the host's socket."""
+        """Path of the host's socket.
+
+        Raises:
+            InvalidSetup: The folder cannot be used, or its path is too long.
+        """
         text = f"{self.driver}:{self.address}" + (f":{self.library}" if self.library else "")
         readable = re.sub(r"[^\w.-]", "_", text)[:24]
-        return folder() / f"{readable}-{hashlib.sha256(text.encode()).hexdigest()[:8]}.sock"
+        path = folder() / f"{readable}-{hashlib.sha256(text.encode()).hexdigest()[:8]}.sock"
+        if len(os.fsencode(path)) > LONGEST_PATH:
+            raise InvalidSetup(f"The path {path} is too long for a socket; name a shorter folder in {FOLDER}.")
+        return path
 
     def __str__(self) -> str:
         return f"{self.driver}:{self.address}" if self.address else self.driver
@@ -77,14 +86,17 @@ def folder() -> Path:
     """Return the folder of the sockets, which only this user can enter.
 
     Raises:
-        InvalidSetup: Another user owns it or may enter it.
+        InvalidSetup: It cannot be made, or another user owns it or may enter it.
     """
     user = Path(f"/run/user/{os.getuid()}")
     path = Path(
         os.environ.get(FOLDER)
         or (user / "rcs" if user.is_dir() else Path(tempfile.gettempdir()) / f"rcs-{os.getuid()}")
     )
-    path.mkdir(mode=0o700, exist_ok=True)
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as err:
+        raise InvalidSetup(f"The folder {path} cannot be made: {err}; name another one in {FOLDER}.") from err
     about = path.lstat()
     if about.st_uid != os.getuid() or about.st_mode & 0o077:
         raise InvalidSetup(
@@ -209,13 +221,20 @@ def peer(connection: socket.socket) -> int:
     return 0
 
 
+def _kill(process: int) -> None:
+    """Kill a host that hangs, since it might later move its device; 0 and 1 are no hosts, but whole groups."""
+    if process > 1:
+        with suppress(ProcessLookupError):
+            os.kill(process, signal.SIGKILL)
+
+
 def stop_hosts() -> dict[str, str]:
     """Hold the devices of all hosts of this user and put them at fault; return the outcome by host name.
 
     A host that does not answer within a second is killed.
     """
-    told = {path.stem: _stop(path) for path in sorted(folder().glob("*.sock"))}
-    return {name: outcome for name, outcome in told.items() if outcome}
+    outcomes = {path.stem: _stop(path) for path in sorted(folder().glob("*.sock"))}
+    return {name: outcome for name, outcome in outcomes.items() if outcome}
 
 
 def _stop(path: Path) -> str:
@@ -232,8 +251,7 @@ def _stop(path: Path) -> str:
             while answer := connection.recv(64):
                 if STOPPED in answer:
                     return f"holds (process {process})"
-        with suppress(ProcessLookupError):
-            os.kill(process, signal.SIGKILL)
+        _kill(process)
         return f"did not answer and was killed (process {process}); check its device"
 
 
@@ -289,7 +307,7 @@ def _ask(connection: socket.socket, process: int, wanted: Wanted, name: str, tim
     try:
         records.send(wanted)
         if not records.poll(times.open):
-            os.kill(process, signal.SIGKILL)
+            _kill(process)
             raise DeviceFault(
                 f"{name}: opening {wanted.place} did not end within {times.open:g} s, and its host (process {process}) "
                 "was killed. Check the address, the cable, and that the device is switched on."

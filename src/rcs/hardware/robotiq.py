@@ -6,17 +6,19 @@ with its time.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+from msgspec import Meta
+from rcs_data.options import Record
 
 from rcs.devices import Gripper, GripperState
-from rcs.errors import DeviceFault, InvalidSetup, require_fields
-from rcs.hardware.driver import Driver
+from rcs.errors import DeviceFault, InvalidSetup
+from rcs.hardware.driver import Driver, require_address
 from rcs.hardware.robotiq_lines import ANSWER_TIME, ModbusLine, RobotiqStatus, Transport, UrcapSocket
 from rcs.robots.description import GripperDescription
 
@@ -33,8 +35,6 @@ SLOWEST, FASTEST = 0.020, 0.150
 """Speeds of the width [m/s] at register values 0 and 255; vendor's data sheet of the 2F-85."""
 WEAKEST, STRONGEST = 20.0, 235.0
 """Forces [N] at register values 0 and 255; same source."""
-
-OPTIONS: Final = ("speed", "force", "open", "closed")
 
 _ACTIVE = 3
 _IS_MOVING = 0
@@ -53,6 +53,29 @@ FAULTS: Final = {
 }
 """Codes of register FLT; vendor's instruction manual."""
 _HARMLESS = (0, 0x05, 0x09)
+
+
+class RobotiqOptions(Record):
+    """A site's options for a Robotiq gripper."""
+
+    speed: Annotated[float, Meta(ge=SLOWEST, le=FASTEST)] = FASTEST
+    """Speed of the width [m/s]."""
+    force: Annotated[float, Meta(ge=WEAKEST, le=STRONGEST)] | None = None
+    """Force of commands without one [N]; None for the description's."""
+    open: Annotated[float, Meta(ge=0, le=255)] = 3
+    """Position of the open fingers, in the units of register POS."""
+    closed: Annotated[float, Meta(ge=0, le=255)] = 230
+    """Position of the closed fingers; above `open`."""
+
+    def __post_init__(self) -> None:
+        """Check every field.
+
+        Raises:
+            InvalidSetup: A value is invalid.
+        """
+        super().__post_init__()
+        if not self.open < self.closed:
+            raise InvalidSetup(f"open is {self.open} and closed is {self.closed}; open must be less than closed.")
 
 
 @dataclass(frozen=True)
@@ -78,26 +101,22 @@ class RobotiqGripper(Gripper):
         Args:
             address: IP address of the UR controller, or path of a serial line such as /dev/ttyUSB0.
             about: Description of the gripper.
-            options: `speed` of the width [m/s]; `force` [N], the default of commands; `open` and `closed`, the
-                positions of the open and the closed fingers, 0 to 255.
+            options: Those of `RobotiqOptions`.
             transport: Makes the transport of an address; None for a serial line if it is a path, else for the URCap's
                 socket.
 
         Raises:
             InvalidSetup: An option does not exist or has an invalid value.
         """
-        require_fields("option of a Robotiq gripper", options, OPTIONS)
+        require_address("Robotiq gripper", address)
+        if not about.name.startswith("robotiq"):
+            raise InvalidSetup(f"This is the driver of Robotiq's grippers, not of {about.name!r}; use another driver.")
+        given = RobotiqOptions.from_json(options)
         super().__init__(f"{about.name} at {address}", about.max_width, about.max_force)
         self._address = address
-        speed = _number(options, "speed", FASTEST, SLOWEST, FASTEST)
-        self._force = _number(options, "force", about.grasp_force, WEAKEST, STRONGEST)
-        self._open_at = _number(options, "open", 3, 0, 255)
-        self._closed_at = _number(options, "closed", 230, 0, 255)
-        if not self._open_at < self._closed_at:
-            raise InvalidSetup(
-                f"open is {self._open_at} and closed is {self._closed_at}; open must be less than closed."
-            )
-        self._speed = round(255 * (speed - SLOWEST) / (FASTEST - SLOWEST))
+        self._force = about.grasp_force if given.force is None else given.force
+        self._open_at, self._closed_at = given.open, given.closed
+        self._speed = round(255 * (given.speed - SLOWEST) / (FASTEST - SLOWEST))
         self._connect = transport or (ModbusLine if address.startswith("/") else UrcapSocket)
         self._transport: Transport | None = None
         self._lock = threading.RLock()  # for the transport; commands do not wait for a silent line
@@ -107,6 +126,7 @@ class RobotiqGripper(Gripper):
         self._order: _Order | None = None
         self._sent: _Order | None = None
         self._was_active = False
+        self._activating_since = math.nan  # when a command first asked for an activation
         self._activation_began = -math.inf
         self._moved = 0.0
         self._status: RobotiqStatus | None = None
@@ -120,6 +140,7 @@ class RobotiqGripper(Gripper):
             raise
         self._is_ending = self._was_active = self._must_stop = False
         self._order = self._sent = None
+        self._activating_since = math.nan
         self._thread = threading.Thread(target=self._serve, name=f"rcs-robotiq-{self._address}", daemon=True)
         self._thread.start()
 
@@ -164,7 +185,7 @@ class RobotiqGripper(Gripper):
         status = self._status
         if status is None:
             return
-        self._order = None
+        self._order, self._activating_since = None, math.nan
         age = time.monotonic() - status.time
         # Do not wait for a silent line: other devices must be held, too. After a longer time, the thread itself may
         # have been blocked, for example by a library that shuts down, and the line may be fine.
@@ -207,25 +228,17 @@ class RobotiqGripper(Gripper):
 
     def _serve(self) -> None:
         """Read the gripper and send commands until the thread ends."""
-        while not self._is_ending:
+        while True:
             self._wake.wait(PERIOD)
             self._wake.clear()
-            if self._is_ending or (self.fault and not self._revives()):
-                continue
+            if self._is_ending:
+                return
             try:
                 self._exchange()
-            except DeviceFault as err:
+            except Exception as err:  # noqa: BLE001  whatever it is, it is the gripper's fault
                 assert self._status is not None
-                if time.monotonic() - self._status.time > SILENCE:
-                    self.set_fault(str(err))
-
-    def _revives(self) -> bool:
-        """Continue reading during a fault to keep measurements fresh; its errors have been reported."""
-        with contextlib.suppress(DeviceFault), self._lock:
-            assert self._transport is not None
-            self._take(self._transport.read())
-            self._stop_late(self._transport)
-        return False
+                if not self.fault and time.monotonic() - self._status.time > SILENCE:
+                    self.set_fault(str(err) if isinstance(err, DeviceFault) else f"{type(err).__name__}: {err}")
 
     def _stop_late(self, transport: Transport) -> None:
         """Send a stop that `hold` has left to this thread."""
@@ -235,36 +248,47 @@ class RobotiqGripper(Gripper):
 
     def _exchange(self) -> None:
         with self._lock:
-            transport, order = self._transport, self._order
+            transport = self._transport
             if transport is None:
                 return
             self._stop_late(transport)
-            if order is not None and order != self._sent:
-                assert self._status is not None
-                if self._status.activation == _ACTIVE:
-                    transport.write(
-                        activate=True, go=True, position=order.position, speed=self._speed, force=order.force
-                    )
-                    self._sent = order
-                else:
-                    self._activate(transport)
-            status = transport.read()
+            if not self.fault:
+                self._follow(transport)
+            status = transport.read()  # during a fault, too, to keep measurements fresh
             self._take(status)
-        self._judge(status)
+        if not self.fault:
+            self._judge(status)
+
+    def _follow(self, transport: Transport) -> None:
+        """Send the newest command, once the gripper is activated."""
+        assert self._status is not None
+        order = self._order
+        if order is None or order == self._sent:
+            return
+        if self._status.activation != _ACTIVE:
+            self._activate(transport)
+            return
+        self._activating_since = math.nan
+        transport.write(activate=True, go=True, position=order.position, speed=self._speed, force=order.force)
+        self._sent = order
 
     def _activate(self, transport: Transport) -> None:
         """Begin an activation unless one is in progress; the command waits for its end."""
         assert self._status is not None
-        since = time.monotonic() - self._activation_began
-        if self._status.activation == 0 and since > 1.0:  # the status changes only after a moment
+        now = time.monotonic()
+        if math.isnan(self._activating_since):
+            self._activating_since = now
+        if now - self._activating_since > ACTIVATION_TIME:
+            self._activating_since = math.nan
+            self.set_fault(
+                f"its activation has not ended after {ACTIVATION_TIME:g} s; does something block the fingers, and has "
+                "the gripper its 24 V?"
+            )
+        elif self._status.activation == 0 and now - self._activation_began > 1.0:  # the status changes after a moment
             self._sent = _Order(-1, 0)  # so that `_hold` stops it
             transport.write(activate=False, go=False, position=0, speed=0, force=0)
             transport.write(activate=True, go=False, position=0, speed=0, force=0)
-            self._activation_began = time.monotonic()
-        elif ACTIVATION_TIME < since < math.inf:
-            self.set_fault(
-                f"its activation has not ended after {ACTIVATION_TIME:g} s; does something block the fingers?"
-            )
+            self._activation_began = now
 
     def _take(self, status: RobotiqStatus) -> None:
         if self._status is None or status.position != self._status.position:
@@ -289,11 +313,3 @@ class RobotiqDriver(Driver):
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> RobotiqGripper:
         """Return a gripper; nothing is connected."""
         return RobotiqGripper(address, about, options)
-
-
-def _number(options: Mapping[str, Any], name: str, usual: float, least: float, most: float) -> float:
-    value = options.get(name, usual)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if not is_number or not least <= value <= most:
-        raise InvalidSetup(f"{name} of a Robotiq gripper is {value!r}; valid is a number from {least:g} to {most:g}.")
-    return float(value)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import termios
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +12,7 @@ from typing import Any, Final, Protocol
 
 from rcs.errors import DeviceFault
 from rcs.extras import package_of
+from rcs.hardware.serial_port import claim
 
 PORT: Final = 63352
 """Port of the URCap's socket."""
@@ -160,11 +163,16 @@ class ModbusLine:
         self._path = path
         modbus = package_of("robotiq", "pymodbus.client", "A gripper on a serial line needs")
         self._error = package_of("robotiq", "pymodbus", "A gripper on a serial line needs").ModbusException
+        os.close(claim(path, "serial line"))  # the library locks it, too, but does not say who has it
         self._client = modbus.ModbusSerialClient(path, baudrate=BAUD_RATE, timeout=0.1, retries=0)
+        self._require_open()
+
+    def _require_open(self) -> None:
+        """Open the line unless it is open; the library closes it after some requests without an answer."""
         if not self._client.connect():
             raise DeviceFault(
-                f"{path}: the serial line cannot be opened; check that the adapter is plugged in (ls -l {path}) and "
-                "that you may use it (sudo usermod -aG dialout $USER, then log in again)"
+                f"{self._path}: the serial line cannot be opened; check that the adapter is plugged in (ls -l "
+                f"{self._path}) and that no other program uses it"
             )
 
     def read(self) -> RobotiqStatus:
@@ -181,10 +189,11 @@ class ModbusLine:
         self._client.close()
 
     def _call(self, name: str, *values: Any, **more: Any) -> Any:
+        self._require_open()
         try:
             self._client.socket.reset_input_buffer()  # a late answer is not that to the next request
             answer = getattr(self._client, name)(*values, device_id=MODBUS_DEVICE, **more)
-        except (self._error, OSError) as err:
+        except (self._error, OSError, termios.error) as err:
             raise DeviceFault(
                 f"{self._path}: no gripper answers ({err}); check its 24 V supply and the wiring of RS-485"
             ) from err

@@ -7,17 +7,17 @@ different number of bytes, and an answer counts only if its servo and length mat
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import os
 import select
+import termios
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from rcs.errors import DeviceFault
 from rcs.extras import package_of
+from rcs.hardware.serial_port import claim
 
 BAUD = 1_000_000
 TIMEOUT = 0.09
@@ -46,10 +46,13 @@ class ServoBus:
         self.timeout = timeout
         self.is_lost = False
         """True if no servo answered the last request; the next one is then not repeated."""
+        self.is_gone = False
+        """True if the port has disappeared; closing and opening the bus connects it again."""
         self.failures = 0
         """Number of repeated requests."""
         self._turn = 0
         self._port: Any = None
+        self._claimed = -1
         self._packets: Any = None
 
     @property
@@ -65,29 +68,21 @@ class ServoBus:
             DeviceFault: The port does not exist, may not be used, or is in use by another program.
         """
         sdk = package_of("so101", "scservo_sdk", "An SO101 needs")
+        claimed = claim(self.address, "servo bus")
         port = sdk.PortHandler(self.address)
         try:
             port.setBaudRate(BAUD)
-            fcntl.flock(port.ser.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except PermissionError as err:
-            raise self._not_permitted(err) from err
-        except BlockingIOError as err:
-            port.closePort()
-            raise DeviceFault(
-                f"The servo bus at {self.address} is in use by {_holder(self.address)}; end it first."
-            ) from err
-        except OSError as err:  # includes pyserial's exceptions
-            if getattr(err, "errno", None) == 13:
-                raise self._not_permitted(err) from err
-            raise DeviceFault(
-                f"There is no servo bus at {self.address}: {err}. Check the cable and the port: ls /dev/tty*"
-            ) from err
+        except (OSError, termios.error) as err:  # includes pyserial's exceptions
+            os.close(claimed)
+            raise DeviceFault(f"The servo bus at {self.address} cannot be opened: {err}. Check the USB cable.") from err
+        self._claimed, self.is_gone = claimed, False
         self._port, self._packets = port, sdk.PacketHandler(0)
 
     def close(self) -> None:
         """Close the port; closing twice is harmless."""
         if self._port is not None:
             self._port.closePort()
+            os.close(self._claimed)
             self._port = None
 
     def read(self, servos: Sequence[int], first: int, count: int) -> dict[int, tuple[int, bytes]]:
@@ -148,7 +143,10 @@ class ServoBus:
         """
         self._begin()
         words = [byte for servo, value in values.items() for byte in (servo, *value.to_bytes(size, "little"))]
-        self._packets.syncWriteTxOnly(self._port, register, size, words, len(words))
+        try:
+            self._packets.syncWriteTxOnly(self._port, register, size, words, len(words))
+        except OSError as err:
+            raise self._gone(err) from err
 
     def _begin(self) -> None:
         """Drop input left by an earlier request."""
@@ -156,7 +154,7 @@ class ServoBus:
             raise DeviceFault(f"The servo bus at {self.address} is closed.")
         try:
             self._port.ser.reset_input_buffer()
-        except OSError as err:
+        except (OSError, termios.error) as err:  # the latter is no OSError
             raise self._gone(err) from err
         self._port.is_using = False
 
@@ -187,14 +185,9 @@ class ServoBus:
             select.select([self._port.ser.fileno()], [], [], rest)
             time.sleep(min(2e-4, max(rest, 0.0)))
 
-    def _gone(self, err: OSError) -> DeviceFault:
+    def _gone(self, err: Exception) -> DeviceFault:
+        self.is_gone = True
         return DeviceFault(f"The servo bus at {self.address} has disappeared: {err}. Check the USB cable.")
-
-    def _not_permitted(self, err: OSError) -> DeviceFault:
-        return DeviceFault(
-            f"You may not use the servo bus at {self.address}: {err}. Join the port's group and log in again: "
-            "sudo usermod -aG dialout $USER."
-        )
 
 
 class _Request:
@@ -224,20 +217,6 @@ class _Request:
             f"{1e3 * (time.monotonic() - self._begin):.0f} ms; check the power supply and the cable to the first "
             "missing servo"
         )
-
-
-def _holder(address: str) -> str:
-    """Return the process that has locked a port, if the system reveals it."""
-    wanted = str(os.stat(address).st_ino)
-    for line in Path("/proc/locks").read_text().splitlines():
-        words = line.split()
-        if words[1] == "FLOCK" and words[5].rpartition(":")[2] == wanted:
-            try:
-                program = Path(f"/proc/{words[4]}/cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
-            except OSError:
-                program = ""
-            return f"process {words[4]} ({program})" if program else f"process {words[4]}"
-    return "another program"
 
 
 def signed(value: int, bit: int) -> int:

@@ -24,10 +24,11 @@ from typing import Any, get_args
 from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.hardware.devices import Devices, OnStale
-from rcs.hardware.driver import Driver
+from rcs.hardware.driver import Driver, driver_named
 from rcs.hardware.hosted import Place, hosted, is_hosted
+from rcs.robots.camera import CameraDescription
 from rcs.robots.compliance import Compliance
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.robots.description import ArmDescription, GripperDescription, HandDescription
 from rcs.robots.tactile import TactileDescription
 
 KINDS = ("arms", "grippers", "hands", "cameras", "tactile")
@@ -143,6 +144,8 @@ class Site:
         try:
             content = json.loads(Path(path).read_text("utf-8"))
             return Site(**content)
+        except InvalidSetup as err:
+            raise InvalidSetup(f"The site file {path}: {err}") from err
         except (OSError, ValueError, RecursionError) as err:
             raise InvalidSetup(f"The site file {path} cannot be read: {err}.") from err
         except TypeError as err:
@@ -335,11 +338,7 @@ def _giving_way(drivers: dict[str, Driver], given: AnyDevice, robot: str, compli
 def _driver(drivers: dict[str, Driver], name: str) -> Driver:
     """Return the single instance of a driver."""
     if name not in drivers:
-        found = lookup.find("driver", name)
-        found = found() if isinstance(found, type) else found
-        if not isinstance(found, Driver):
-            raise InvalidSetup(f"The driver {name!r} is {found!r}; valid is a subclass of rcs.hardware.Driver.")
-        drivers[name] = found
+        drivers[name] = driver_named(name)
     return drivers[name]
 
 
@@ -372,9 +371,7 @@ def _require_places(kind: str, devices: Mapping[str, AnyDevice]) -> None:
         place = (one.driver, one.address) if is_address else id(one)
         if (taken := first.setdefault(place, name)) != name:
             where = f"at {one.driver}:{one.address}" if is_address else f"the device {one!r}"
-            raise InvalidSetup(
-                f"The {kind} {taken!r} and {name!r} are both {where}, which is {taken!r}; give {name!r} its own."
-            )
+            raise InvalidSetup(f"The {kind} {taken!r} and {name!r} are both {where}; give {name!r} its own.")
 
 
 def _platform(given: AnyDevice) -> str:

@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import tau
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
+from rcs_data.options import Record
 
 from rcs.devices import ArmLimits, ArmState, Gripper, GripperState, StreamedArm, StreamOptions, StreamPoint
-from rcs.errors import DeviceFault, InvalidSetup, require_fields
+from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.driver import Driver, HostTimes
 from rcs.hardware.fake import limits_of
 from rcs.hardware.link import Link
@@ -30,6 +32,7 @@ from rcs.hardware.so101_servos import (
     NAMES,
     STEPS,
     TORQUE_LIMIT,
+    MotorCalibration,
     Reading,
     Servos,
     read_calibration,
@@ -42,8 +45,6 @@ KEPT_FREE = (MARGIN + 1) * tau / STEPS
 """`MARGIN` as a joint angle, plus rounding [rad]: setpoints come to rest there and are not clipped."""
 FRESH = 0.02
 """Largest age of the arm's last reading that the gripper reuses [s]."""
-LONGEST_TIMEOUT = 1.0
-"""Largest valid value of the option `timeout` [s]."""
 STILL = 20
 """Speed below which the gripper stands still [positions/s]."""
 THERE = 40
@@ -56,32 +57,23 @@ GRIP_CURRENT = 250
 """Current limit of the gripper's servo [6.5 mA], from LeRobot."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class So101Options:
+class So101Options(Record):
     """A site's options for an SO101."""
 
     calibration: str | Mapping[str, Any] | None = None
     """LeRobot's calibration file for this arm, as a path or its content; None for the calibration in the servos."""
     at_close: Literal["release", "hold"] = "release"
     """When the arm is closed, `release` switches the motors off, so that it falls; `hold` keeps it powered in place."""
-    timeout: float = TIMEOUT
-    """Time without an answer after which servos count as lost [s], 0.01 to 1."""
+    timeout: Annotated[float, Meta(ge=0.01, le=1.0)] = TIMEOUT
+    """Time without an answer after which servos count as lost [s]."""
 
-    @staticmethod
-    def of(options: Mapping[str, Any]) -> So101Options:
-        """Return the options from a site's mapping.
+    def motors(self) -> dict[str, MotorCalibration] | None:
+        """Return the calibration by motor; None for that in the servos.
 
         Raises:
-            InvalidSetup: An option is unknown or has an invalid value.
+            InvalidSetup: The file cannot be read, or is no calibration.
         """
-        require_fields("option of an SO101", options, So101Options.__dataclass_fields__)
-        given = So101Options(**options)
-        if given.at_close not in ("hold", "release"):
-            raise InvalidSetup(f"at_close is {given.at_close!r}; valid: 'hold', 'release'.")
-        timeout: Any = given.timeout
-        if isinstance(timeout, bool) or not isinstance(timeout, int | float) or not 0.01 <= timeout <= LONGEST_TIMEOUT:
-            raise InvalidSetup(f"timeout is {timeout!r} s; valid is 0.01 to {LONGEST_TIMEOUT:g} s.")
-        return given
+        return None if self.calibration is None else read_calibration(self.calibration)
 
 
 class So101Arm(StreamedArm):
@@ -104,12 +96,14 @@ class So101Arm(StreamedArm):
         )
         self.link = link
         self._options = options
+        self._calibration = options.motors()
         self._is_powered = self._is_led = False
         self._trouble = ""
 
     def _open(self) -> None:
         self.link.open(self)
         with self.link as servos:
+            servos.check(self._calibration, self._options.timeout)
             servos.end_overload(ARM)  # left by an earlier program
 
     def _close(self) -> None:
@@ -146,8 +140,9 @@ class So101Arm(StreamedArm):
     def _start(self) -> None:
         with self.link as servos:
             servos.tune(ARM)
+            self._is_powered = True  # whichever servos are on when one does not answer are released at the end
             servos.power(ARM)
-        self._is_powered = self._is_led = True
+        self._is_led = True
 
     def _write(self, point: StreamPoint) -> None:
         if self._trouble:
@@ -164,12 +159,13 @@ class So101Arm(StreamedArm):
 
     def _clear(self) -> None:
         with self.link as servos:
+            servos.reconnect()
             over = servos.end_overload(ARM)
             if self._is_powered:
                 servos.power(over)
             reading = servos.read()
-        if told := reading.faults(ARM):
-            raise DeviceFault(told)
+        if faults := reading.faults(ARM):
+            raise DeviceFault(faults)
 
 
 class So101Gripper(Gripper):
@@ -180,11 +176,14 @@ class So101Gripper(Gripper):
         super().__init__(name, about.max_width, about.max_force)
         self.link = link
         self._options = options
+        self._calibration = options.motors()
         self._is_powered = False
         self._goal, self._since = 0, -math.inf
 
     def _open(self) -> None:
         self.link.open(self)
+        with self.link as servos:
+            servos.check(self._calibration, self._options.timeout)
 
     def _close(self) -> None:
         try:
@@ -213,8 +212,8 @@ class So101Gripper(Gripper):
                     servos.set(GRIPPER, register, value)
             servos.put(GRIPPER, TORQUE_LIMIT, torque)
             if not self._is_powered:
-                servos.power([GRIPPER])
                 self._is_powered = True
+                servos.power([GRIPPER])
             goal = servos.calibration[GRIPPER].position_of_opening(opening)
             if goal != self._goal:
                 self._goal, self._since = goal, time.monotonic()
@@ -238,16 +237,17 @@ class So101Gripper(Gripper):
 
     def _recover(self) -> None:
         with self.link as servos:
+            servos.reconnect()
             over = servos.end_overload([GRIPPER])
             if self._is_powered:
                 servos.power(over)
-            if told := servos.read().faults([GRIPPER]):
-                raise DeviceFault(told)
+            if faults := servos.read().faults([GRIPPER]):
+                raise DeviceFault(faults)
 
     def _newest(self, servos: Servos) -> Reading:
         reading = servos.newest(FRESH)
-        if told := reading.faults([GRIPPER]):
-            raise DeviceFault(told)
+        if faults := reading.faults([GRIPPER]):
+            raise DeviceFault(faults)
         return reading
 
 
@@ -261,16 +261,15 @@ class So101Driver(Driver):
         """Return the arm at a serial port."""
         if tuple(about.joints) != NAMES[:5]:
             raise InvalidSetup(f"The driver of SO101 arms cannot drive {about.label}.")
-        given = So101Options.of(options)
-        return So101Arm(self._servos(address, given), limits_of(about), options=given, name=address)
+        given = So101Options.from_json(options)
+        return So101Arm(self._servos(address), limits_of(about), options=given, name=address)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> So101Gripper:
         """Return the gripper of the arm at a serial port."""
-        given = So101Options.of(options)
-        return So101Gripper(self._servos(address, given), about, options=given, name=f"{address} gripper")
+        given = So101Options.from_json(options)
+        return So101Gripper(self._servos(address), about, options=given, name=f"{address} gripper")
 
-    def _servos(self, address: str, options: So101Options) -> Link[Servos]:
+    def _servos(self, address: str) -> Link[Servos]:
         if not address:
             raise InvalidSetup("The SO101 has no address; give the path of its serial port, such as /dev/ttyACM0.")
-        calibration = None if options.calibration is None else read_calibration(options.calibration)
-        return self.link(address, lambda: Servos(address, calibration, options.timeout), lambda one: one.bus.close())
+        return self.link(address, lambda: Servos(address), lambda one: one.bus.close())

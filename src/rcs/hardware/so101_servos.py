@@ -111,41 +111,50 @@ class Reading:
 
     def faults(self, servos: Sequence[int]) -> str:
         """Return a description of the servos' faults by joint; empty without a fault."""
-        told: list[str] = []
+        found: list[str] = []
         for bit, what in ERRORS.items():
             names = [NAMES[servo - 1] for servo in servos if self.errors[servo] & bit]
             if names:
                 volts = f" ({min(self.volts[servo] for servo in servos):.1f} V)" if bit == _VOLTAGE else ""
-                told.append(f"{what} at {', '.join(names)}{volts}: {_ADVICE[what]}")
-        return "; ".join(told)
+                found.append(f"{what} at {', '.join(names)}{volts}: {_ADVICE[what]}")
+        return "; ".join(found)
 
 
 class Servos:
     """The six servos of one SO101, connected."""
 
-    def __init__(self, address: str, calibration: Mapping[str, MotorCalibration] | None, timeout: float) -> None:
-        """Open the bus and check that it is the expected arm, without switching a motor on or off.
+    def __init__(self, address: str) -> None:
+        """Open the bus; nothing is sent.
 
         Args:
             address: Path of the serial port.
+
+        Raises:
+            DeviceFault: The port cannot be used.
+            MissingDependency: The vendor's library is not installed.
+        """
+        self.bus = ServoBus(address, dict(enumerate(NAMES, 1)), OPENING)
+        self.last: Reading | None = None
+        """The newest reading."""
+        self.calibration: Mapping[int, MotorCalibration] = {}
+        """Calibration by servo; empty before `check`."""
+        self._given: Mapping[str, MotorCalibration] | None = None
+        self.bus.open()
+
+    def check(self, calibration: Mapping[str, MotorCalibration] | None, timeout: float) -> None:
+        """Check that it is the expected arm, without switching a motor on or off.
+
+        Args:
             calibration: Calibration that the servos must have, by motor; None to accept theirs.
-            timeout: Time without an answer after which servos count as lost [s].
+            timeout: Time without an answer after which servos count as lost from now on [s].
 
         Raises:
             DeviceFault: A servo does not answer, or its model or calibration is not the expected one.
-            MissingDependency: The vendor's library is not installed.
         """
-        self.bus = ServoBus(address, dict(enumerate(NAMES, 1)), max(timeout, OPENING))
-        self.last: Reading | None = None
-        """The newest reading."""
-        self._given = calibration
-        self.bus.open()
-        try:
-            self.calibration = self._check()
-            """Calibration by servo."""
-        except BaseException:
-            self.bus.close()
-            raise
+        if calibration is not None or not self.calibration:
+            self.bus.timeout = max(timeout, OPENING)
+            self.calibration = self._found(calibration)
+            self._given = calibration
         self.bus.timeout = timeout
 
     def read(self) -> Reading:
@@ -159,6 +168,23 @@ class Servos:
             reading = self._read()  # it moved that far, or the checksum matched by chance
         self.last = reading
         return reading
+
+    def reconnect(self) -> None:
+        """Open a port that has disappeared again, and check that the same arm is there.
+
+        Raises:
+            DeviceFault: The port is not there, or another arm is.
+        """
+        if not self.bus.is_gone:
+            return
+        self.bus.close()
+        self.bus.open()
+        try:
+            self.calibration = self._found(self._given)
+        except DeviceFault:
+            self.bus.is_gone = True
+            raise
+        self.last = None
 
     def newest(self, age: float) -> Reading:
         """Return the last reading if it is not older than `age` [s], else a new one."""
@@ -208,7 +234,8 @@ class Servos:
 
     def end_overload(self, servos: Sequence[int]) -> list[int]:
         """Switch off servos in overload, which clears it, and return them."""
-        over = [servo for servo in servos if self.read().errors[servo] & _OVERLOAD]
+        errors = self.read().errors
+        over = [servo for servo in servos if errors[servo] & _OVERLOAD]
         self.release(over)
         end = time.monotonic() + RECOVERY
         while any(self.read().errors[servo] & _OVERLOAD for servo in over) and time.monotonic() < end:
@@ -216,9 +243,19 @@ class Servos:
         return over
 
     def release(self, servos: Sequence[int]) -> None:
-        """Switch servos off; an arm without support falls."""
+        """Switch servos off; an arm without support falls.
+
+        Raises:
+            DeviceFault: A servo does not answer; all others are off.
+        """
+        failures: list[DeviceFault] = []
         for servo in servos:
-            self.put(servo, TORQUE_ON, 0)
+            try:
+                self.put(servo, TORQUE_ON, 0)
+            except DeviceFault as err:
+                failures.append(err)
+        if failures:
+            raise failures[0]
 
     def _read(self) -> Reading:
         servos = range(1, len(NAMES) + 1)
@@ -233,8 +270,8 @@ class Servos:
             volts={servo: own[6] / 10 for servo, own in words.items()},
         )
 
-    def _check(self) -> dict[int, MotorCalibration]:
-        """Return the calibration of the servos after comparing it with the given one."""
+    def _found(self, wanted: Mapping[str, MotorCalibration] | None) -> dict[int, MotorCalibration]:
+        """Return the calibration of the servos after comparing it with a given one."""
         found = self.bus.read(list(range(1, len(NAMES) + 1)), 0, SETTINGS)
         calibration: dict[int, MotorCalibration] = {}
         amiss: list[str] = []
@@ -248,7 +285,7 @@ class Servos:
                 "range_min": _number(own, LOWEST),
                 "range_max": _number(own, HIGHEST),
             }
-            given = None if self._given is None else self._given[name]
+            given = None if wanted is None else wanted[name]
             if given is not None and (wrong := [key for key in values if getattr(given, key) != values[key]]):
                 amiss += [f"{name} has the {key} {values[key]}, the file {getattr(given, key)}" for key in wrong]
             if values["range_max"] - values["range_min"] < 10 * MARGIN:
@@ -278,6 +315,8 @@ def read_calibration(given: str | Path | Mapping[str, Any]) -> dict[str, MotorCa
             content = json.loads(Path(given).expanduser().read_text("utf-8"))
         except (OSError, ValueError, RecursionError) as err:
             raise InvalidSetup(f"The calibration {given} cannot be read: {err}.") from err
+    if not isinstance(content, Mapping):
+        raise InvalidSetup(f"The calibration is {content!r}; valid is the path of LeRobot's file, or its content.")
     try:
         found = {name: MotorCalibration(**content[name]) for name in NAMES}
     except (TypeError, KeyError) as err:

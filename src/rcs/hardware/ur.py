@@ -11,15 +11,17 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
-from rcs.devices import Arm, ArmLimits, ArmState, CommandKind, Gripper, StreamedArm, StreamOptions, StreamPoint
-from rcs.errors import DeviceFault, InvalidSetup, require_fields
+from rcs.devices import Arm, ArmState, CommandKind, Gripper, StreamedArm, StreamOptions, StreamPoint
+from rcs.errors import DeviceFault, InvalidSetup
 from rcs.extras import package_of
-from rcs.hardware.driver import Driver
+from rcs.hardware.arm_options import TURN_PER_METRE, ArmOptions
+from rcs.hardware.driver import Driver, require_address
 from rcs.hardware.robotiq import RobotiqGripper
 from rcs.hardware.tcp_ramp import TcpRamp
 from rcs.hardware.ur_controller import (
@@ -33,12 +35,6 @@ from rcs.hardware.ur_controller import (
 from rcs.robots.description import ArmDescription, GripperDescription
 from rcs.spatial import Pose
 
-OPTIONS: Final = ("rate", "watchdog", "lookahead", "gain", "speed", "tcp", "tcp_speed")
-
-TCP_SPEED: Final = 0.25
-"""Default speed of the TCP [m/s]: the limit of ISO 10218-1 for teaching next to people."""
-TURN_PER_METRE: Final = 4.0
-"""Ratio of the TCP's limits of rotation and translation [rad/m]; our choice."""
 TCP_ACCELERATION: Final = 1.2
 """Acceleration of the TCP [m/s²]; the default of the vendor's linear moves."""
 AT_REST: Final = 1e-3
@@ -49,7 +45,7 @@ SILENCE: Final = 0.15
 REASON_TIME: Final = 0.05
 """Longest wait for the reason why the controller takes no commands [s]."""
 PATIENCE: Final = 1.0
-"""Timeout for new values from the controller after unlocking it [s]."""
+"""Timeout for new values from the controller after connecting and after unlocking it [s]."""
 CLOCK_DRIFT: Final = 1e-4
 """Largest relative drift of the controller's clock against the host's [1]."""
 
@@ -73,6 +69,20 @@ _IS_RUNNING = 7
 _IS_PLAYING = 2
 
 
+class UrOptions(ArmOptions):
+    """A site's options for a UR arm."""
+
+    rate: Annotated[float, Meta(ge=50.0, le=500.0)] = 500.0
+    """Setpoints per second [Hz]."""
+    watchdog: Annotated[float, Meta(ge=1.0, le=100.0)] = 20.0
+    """Lowest rate of packets that the controller accepts [Hz]."""
+    # A controller with acceleration = gain * (error - lookahead * speed) does not overshoot if gain >= 4 / lookahead².
+    lookahead: Annotated[float, Meta(ge=0.03, le=0.2)] = 0.05
+    """Lookahead of servoj [s]."""
+    gain: Annotated[float, Meta(ge=100.0, le=2000.0)] = 1600.0
+    """Gain of servoj."""
+
+
 class UrArm(StreamedArm):
     """A UR arm: joints by servoj, joint velocities by speedj and, with a TCP, poses by servol and twists by speedl."""
 
@@ -82,41 +92,32 @@ class UrArm(StreamedArm):
         Args:
             address: IP address of the controller.
             about: Description of the arm.
-            options: `rate` of setpoints [Hz]; `watchdog`, the lowest rate of packets that the controller accepts [Hz];
-                `lookahead` [s] and `gain` of servoj; `speed`, a fraction of the description's joint speeds; `tcp`, the
-                pose of the TCP in the flange as translation [m] and quaternion xyzw, required for poses and twists;
-                `tcp_speed`, its limit for poses and twists [m/s].
+            options: Those of `UrOptions`.
 
         Raises:
-            InvalidSetup: An option does not exist or has an invalid value.
+            InvalidSetup: An option does not exist or has an invalid value, the address is empty, or the description is
+                that of another arm.
         """
-        require_fields("option of a UR arm", options, OPTIONS)
-        rate = _number(options, "rate", 500.0, 50.0, 500.0)
-        self._watchdog = _number(options, "watchdog", 20.0, 1.0, 100.0)
-        # A controller with acceleration = gain * (error - lookahead * speed) does not overshoot if
-        # gain >= 4 / lookahead².
-        self._lookahead = _number(options, "lookahead", 0.05, 0.03, 0.2)
-        self._gain = _number(options, "gain", 1600.0, 100.0, 2000.0)
-        speed = _number(options, "speed", 1.0, 0.01, 1.0)
-        limits = ArmLimits(
-            list(about.joint_lower),
-            list(about.joint_upper),
-            [speed * value for value in about.velocity_limit],
-            joint_acceleration=list(about.acceleration_limit),
-            joint_jerk=list(about.jerk_limit),
-            joint_effort=list(about.effort_limit),
-        )
-        self._tcp = _pose(options)
-        self._tcp_speed = _number(options, "tcp_speed", TCP_SPEED, 0.001, 1.0)
+        require_address("UR arm", address)
+        if about.dof != 6:
+            raise InvalidSetup(
+                f"The driver ur controls arms of Universal Robots, with six joints; {about.name!r} has {about.dof}. "
+                "Choose another robot or driver."
+            )
+        given = UrOptions.from_json(options)
+        self._watchdog, self._lookahead, self._gain = given.watchdog, given.lookahead, given.gain
+        self._tcp, self._tcp_speed = given.tcp_in_flange(), given.tcp_speed
         self._acceleration = min(about.acceleration_limit)
         more = {CommandKind.velocities} | ({CommandKind.pose, CommandKind.twist} if self._tcp else set())
-        missed = max(math.ceil(rate / self._watchdog), 2)
+        missed = max(math.ceil(given.rate / self._watchdog), 2)
         super().__init__(
-            f"{about.name} at {address}", limits, StreamOptions(rate=rate, missed_ticks=missed, more_commands=more)
+            f"{about.name} at {address}",
+            given.limits(about),
+            StreamOptions(rate=given.rate, missed_ticks=missed, more_commands=more),
         )
         self._address = address
         self._about = about
-        self._period = 1.0 / rate
+        self._period = 1.0 / given.rate
         self._receive: Any = None
         self._control: Any = None
         self._trouble = ""
@@ -139,8 +140,12 @@ class UrArm(StreamedArm):
         self._device_time, self._offset = math.nan, math.inf
         self._heard = time.monotonic()
         self._trouble = ""
-        until = self._heard + SILENCE
-        while self._receive.getTimestamp() == 0.0 and time.monotonic() < until:
+        until = self._heard + PATIENCE
+        while self._receive.getTimestamp() == 0.0:
+            if time.monotonic() > until:
+                raise DeviceFault(
+                    f"{self._address}: the controller accepts the connection but sends no measurements; restart it"
+                )
             time.sleep(0.002)
 
     def _read(self) -> ArmState:
@@ -231,8 +236,9 @@ class UrArm(StreamedArm):
             if time.monotonic() > until:
                 raise DeviceFault(f"{self._address}: the control script does not start; check the log on the pendant")
             time.sleep(0.002)
-        if self._tcp is not None:
-            self._control.setTcp([*self._tcp.translation, *self._tcp.rotvec])
+        # Without it, poses would be those of another frame.
+        if self._tcp is not None and not self._control.setTcp([*self._tcp.translation, *self._tcp.rotvec]):
+            raise DeviceFault(f"{self._address}: the controller refuses the TCP {self._tcp}; see the option `tcp`")
         if not self._control.setWatchdog(self._watchdog):
             raise DeviceFault(f"{self._address}: the controller refuses the watchdog")
 
@@ -363,27 +369,4 @@ class UrDriver(Driver):
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> Gripper:
         """Return a Robotiq gripper on the controller's URCap; nothing is connected."""
-        if not about.name.startswith("robotiq"):
-            raise InvalidSetup(f"The driver ur supports grippers of Robotiq, not {about.name!r}; use another driver.")
         return RobotiqGripper(address, about, options)
-
-
-def _number(options: Mapping[str, Any], name: str, usual: float, least: float, most: float) -> float:
-    value = options.get(name, usual)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not least <= value <= most:
-        raise InvalidSetup(f"{name} of a UR arm is {value!r}; valid is a number from {least:g} to {most:g}.")
-    return float(value)
-
-
-def _pose(options: Mapping[str, Any]) -> Pose | None:
-    """Return the option `tcp`."""
-    if "tcp" not in options:
-        return None
-    try:
-        return Pose.from_tquat(options["tcp"])
-    except (TypeError, ValueError) as err:
-        raise InvalidSetup(
-            f"tcp of a UR arm is {options['tcp']!r}; valid is its pose in the flange, translation [m] and quaternion "
-            f"xyzw in 7 numbers ({err})."
-        ) from err

@@ -6,7 +6,6 @@ before the library connects.
 
 from __future__ import annotations
 
-import re
 import socket
 import struct
 import time
@@ -204,7 +203,10 @@ def _connect(address: str, port: int, patience: float) -> socket.socket:
             "(Settings > System > Network) and that the service is enabled (Settings > Security > Services)"
         ) from err
     except OSError as err:
-        raise DeviceFault(f"{address}: port {port} ({_PURPOSE[port]}) cannot be reached: {err}") from err
+        raise DeviceFault(
+            f"{address}: port {port} ({_PURPOSE[port]}) cannot be reached: {err}; check the address and the network "
+            f"(ping {address})"
+        ) from err
 
 
 def _receive(peer: socket.socket, address: str, port: int, until: float) -> bytes:
@@ -227,9 +229,12 @@ def stop_program(address: str) -> None:
     """End the controller's program; the arm brakes at once.
 
     Raises:
-        DeviceFault: The controller does not answer.
+        DeviceFault: The controller does not answer, or the program still runs.
     """
     with Dashboard(address, 0.3) as dashboard:
         answer = dashboard.ask("stop", 0.3)
-        if not re.match(r"stopped", answer, re.IGNORECASE):
+        if answer.lower().startswith("stopped"):
+            return
+        # Without a program, as after a protective stop, the command may fail.
+        if not dashboard.ask("running", 0.3).lower().endswith("false"):
             raise DeviceFault(f"{address}: the program cannot be stopped: {answer}")

@@ -9,32 +9,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
-from rcs.devices import Arm, ArmLimits, ArmState, CommandKind, Gripper, StreamedArm, StreamOptions, StreamPoint
-from rcs.errors import DeviceFault, InvalidSetup, require_fields
-from rcs.hardware.driver import Driver
+from rcs.devices import Arm, ArmState, CommandKind, Gripper, StreamedArm, StreamOptions, StreamPoint
+from rcs.errors import DeviceFault
+from rcs.hardware.arm_options import TURN_PER_METRE, ArmOptions
+from rcs.hardware.driver import Driver, require_address, require_fits
 from rcs.hardware.robotiq import RobotiqGripper
 from rcs.hardware.tcp_ramp import TcpRamp
 from rcs.hardware.xarm_controller import CODE_WORDS, STATE_WORDS, XarmTool, connect, others_on, require_controller
 from rcs.kinematics import kinematics_of
 from rcs.robots.description import ArmDescription, GripperDescription
+from rcs.robots.xarm7 import XARM7
 from rcs.spatial import Pose
-
-OPTIONS: Final = ("rate", "speed", "tcp", "tcp_speed")
 
 SPEED: Final = 0.12
 """Default fraction of the joint speeds, at which the TCP stays below `FASTEST_TCP` in every pose, even with all joints
 at full speed in the worst directions: of 10⁵ random poses with a tool of 0.2 m, the worst has 2.48 m/rad."""
 FASTEST_TCP: Final = 0.95
 """Largest speed of the TCP in servo mode [m/s]; the firmware stops the arm at 1 to 1.2 m/s."""
-TCP_SPEED: Final = 0.25
-"""Default speed of the TCP for poses [m/s]: the limit of ISO 10218-1 for teaching next to people."""
-TURN_PER_METRE: Final = 4.0
-"""Ratio of the TCP's limits of rotation and translation [rad/m]; our choice."""
 TCP_ACCELERATION: Final = 1.2
 """Acceleration of the TCP [m/s²]; our choice."""
 AT_REST: Final = 1e-2
@@ -53,6 +50,17 @@ _STOPPED, _MOVING, _SERVO, _MANUAL = 4, 1, 1, 2
 _HAS_ERROR, _HAS_WARNING, _NO_ANSWER, _NOT_READY, _REFUSED = 1, 2, 3, 9, 10  # return codes of the library
 
 
+class XarmOptions(ArmOptions):
+    """A site's options for an xArm."""
+
+    rate: Annotated[float, Meta(ge=30.0, le=250.0)] = 250.0
+    """Setpoints per second [Hz]."""
+    speed: Annotated[float, Meta(ge=0.01, le=1.0)] = SPEED
+    """Fraction of the description's joint speeds."""
+    tcp_speed: Annotated[float, Meta(ge=0.001, le=FASTEST_TCP)] = 0.25
+    """Limit of the TCP's speed for poses [m/s]."""
+
+
 class XarmArm(StreamedArm):
     """An xArm7 in servo mode, controlled by joints and, with a TCP, by poses."""
 
@@ -62,35 +70,25 @@ class XarmArm(StreamedArm):
         Args:
             address: IP address of the controller.
             about: Description of the arm.
-            options: `rate` of setpoints [Hz]; `speed`, a fraction of the description's joint speeds; `tcp`, the pose of
-                the TCP in the flange as translation [m] and quaternion xyzw, required for poses; `tcp_speed`, its limit
-                for poses [m/s].
+            options: Those of `XarmOptions`.
 
         Raises:
-            InvalidSetup: An option does not exist or has an invalid value.
+            InvalidSetup: An option does not exist or has an invalid value, the address is empty, or the description is
+                that of another arm.
         """
-        require_fields("option of an xArm", options, OPTIONS)
-        rate = _number(options, "rate", 250.0, 30.0, 250.0)
-        speed = _number(options, "speed", SPEED, 0.01, 1.0)
-        limits = ArmLimits(
-            list(about.joint_lower),
-            list(about.joint_upper),
-            [speed * value for value in about.velocity_limit],
-            joint_acceleration=list(about.acceleration_limit),
-            joint_jerk=list(about.jerk_limit),
-            joint_effort=list(about.effort_limit),
-        )
-        self._tcp = _pose(options)
-        self._tcp_speed = _number(options, "tcp_speed", TCP_SPEED, 0.001, FASTEST_TCP)
+        require_address("xArm", address)
+        require_fits("xarm", about, XARM7)
+        given = XarmOptions.from_json(options)
+        self._tcp, self._tcp_speed = given.tcp_in_flange(), given.tcp_speed
         more = {CommandKind.pose} if self._tcp else set[CommandKind]()
         super().__init__(
             f"{about.name} at {address}",
-            limits,
-            StreamOptions(rate=rate, missed_ticks=max(round(rate * SILENCE), 2), more_commands=more),
+            given.limits(about),
+            StreamOptions(rate=given.rate, missed_ticks=max(round(given.rate * SILENCE), 2), more_commands=more),
         )
         self._address = address
         self._flange = kinematics_of(about)
-        self._period = 1.0 / rate
+        self._period = 1.0 / given.rate
         self._api: Any = None
         self._trouble = ""
         self._heard = 0.0
@@ -196,7 +194,9 @@ class XarmArm(StreamedArm):
         self._require_answer(code)
         if self._tcp is not None:
             tcp = self._tcp.xyzrpy
-            self._ask(lambda: api.set_tcp_offset([*(1e3 * tcp[:3]), *tcp[3:]], is_radian=True, wait=False))
+            code = self._ask(lambda: api.set_tcp_offset([*(1e3 * tcp[:3]), *tcp[3:]], is_radian=True, wait=False))
+            if code == _REFUSED:  # poses would be those of another frame
+                raise DeviceFault(f"{self._address}: the controller refuses the TCP {self._tcp}; see the option `tcp`")
         self._ask(lambda: api.set_mode(mode))
         self._ask(lambda: api.set_state(0))
         until = time.monotonic() + PATIENCE
@@ -309,32 +309,9 @@ class XarmDriver(Driver):
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> Gripper:
         """Return a Robotiq gripper at the flange; nothing is connected."""
-        if not about.name.startswith("robotiq"):
-            raise InvalidSetup(f"The driver xarm supports grippers of Robotiq, not {about.name!r}; use another driver.")
         return RobotiqGripper(address, about, options, XarmTool)
 
 
 def _words(error: int) -> str:
     """Return the meaning of a controller error."""
     return f"C{error}: {CODE_WORDS.get(error, 'see the manual of the xArm')}"
-
-
-def _number(options: Mapping[str, Any], name: str, usual: float, least: float, most: float) -> float:
-    value = options.get(name, usual)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not least <= value <= most:
-        raise InvalidSetup(f"{name} of an xArm is {value!r}; valid is a number from {least:g} to {most:g}.")
-    return float(value)
-
-
-def _pose(options: Mapping[str, Any]) -> Pose | None:
-    """Return the option `tcp`."""
-    if "tcp" not in options:
-        return None
-    try:
-        return Pose.from_tquat(options["tcp"])
-    except (TypeError, ValueError) as err:
-        raise InvalidSetup(
-            f"tcp of an xArm is {options['tcp']!r}; valid is its pose in the flange, translation [m] and quaternion "
-            f"xyzw in 7 numbers ({err})."
-        ) from err

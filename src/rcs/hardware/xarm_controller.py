@@ -19,6 +19,7 @@ from typing import Any, Final
 
 from rcs.errors import DeviceFault
 from rcs.extras import package_of
+from rcs.hardware.programs import program_of
 from rcs.hardware.robotiq_lines import FIRST_INPUT, FIRST_OUTPUT, MODBUS_DEVICE, RobotiqStatus, registers_of, status_of
 
 PORT: Final = 502
@@ -74,7 +75,7 @@ def require_controller(address: str) -> None:
     until = time.monotonic() + PATIENCE
     try:
         with socket.create_connection((address, PORT), PATIENCE) as peer:
-            told = _ask_version(peer, address, until)
+            answer = _ask_version(peer, address, until)
     except TimeoutError as err:
         raise DeviceFault(
             f"{address}: no answer on port {PORT}; check that the control box is on, its cable is plugged in, this "
@@ -86,17 +87,19 @@ def require_controller(address: str) -> None:
             "control box) and that it has started (a minute after it is switched on)"
         ) from err
     except OSError as err:
-        raise DeviceFault(f"{address}: port {PORT} cannot be reached: {err}") from err
-    found = re.search(r"(\d+)\.(\d+)\.(\d+)", told)
+        raise DeviceFault(
+            f"{address}: port {PORT} cannot be reached: {err}; check the address and the network (ping {address})"
+        ) from err
+    found = re.search(r"(\d+)\.(\d+)\.(\d+)", answer)
     if found is None:
-        raise DeviceFault(f"{address}: port {PORT} answers {told[:60]!r}, which names no firmware: this is not an xArm")
+        raise DeviceFault(f"{address}: port {PORT} answers {answer[:60]!r}, which names no firmware: it is no xArm")
     firmware = tuple(map(int, found.groups()))
     if firmware < OLDEST:
         raise DeviceFault(
             f"{address}: the controller has firmware {found[0]}; the driver needs {'.'.join(map(str, OLDEST))} or"
             " newer: update it in UFACTORY Studio (Settings, System, Firmware)"
         )
-    axes = re.match(r"(\d+),", told)
+    axes = re.match(r"(\d+),", answer)
     if axes is not None and int(axes[1]) != AXES:
         raise DeviceFault(f"{address}: the arm there has {axes[1]} joints, an xArm7 has {AXES}; check the address")
 
@@ -134,8 +137,7 @@ def others_on(address: str) -> str:
         try:
             links = {str(link.readlink()) for link in (process / "fd").iterdir()}
             if links & {f"socket:[{one}]" for one in sockets} and process.name != str(Path("/proc/self").readlink()):
-                program = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
-                found.append(f"process {process.name} ({program[:80]})")
+                found.append(program_of(process.name))
         except OSError:  # it has ended or belongs to another user
             continue
     return " or ".join(found) or "on another machine, or UFACTORY Studio"

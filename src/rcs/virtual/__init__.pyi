@@ -2,6 +2,7 @@ from rcs.virtual.control import running as running
 from rcs.virtual.control import tell as tell
 from rcs.virtual.fault import Fault as Fault
 from rcs.virtual.line import Line as Line
+from rcs.virtual.realsense_recording import write_recording as write_recording
 from rcs.virtual.robot_log import read_events as read_events
 from rcs.virtual.robot_log import read_points as read_points
 from rcs.virtual.robot_log import read_ticks as read_ticks

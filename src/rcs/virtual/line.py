@@ -1,8 +1,7 @@
 """The line between a virtual robot and its clients, which delays, damages or loses packets on demand.
 
 Threads: all calls are thread-safe. `flush` sends due packets in order; the loop of the world calls it each tick. A
-    packet
-never overtakes another.
+packet never overtakes another.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class Line:
         """
         self._random = random.Random(seed)
         self._lock = threading.RLock()
-        self._told: dict[str, Fault] = {}
+        self._faults: dict[str, Fault] = {}
         self._left: dict[str, int] = {}
         self._waiting: deque[tuple[float, bytes, Write]] = deque()
         self.is_cut = False
@@ -44,12 +43,12 @@ class Line:
                 self._waiting.clear()
                 return
             self._left[fault.name] = int(fault.number) if not fault.share else 0
-            self._told[fault.name] = fault
+            self._faults[fault.name] = fault
 
     def clear(self) -> None:
         """End all faults."""
         with self._lock:
-            self._told.clear()
+            self._faults.clear()
             self._left.clear()
             self.is_cut = False
 
@@ -67,7 +66,7 @@ class Line:
             if passed is None:
                 return
             due = now + after
-            late = self._told.get("late")
+            late = self._faults.get("late")
             if late is not None and (not late.share or self._random.random() * late.share < 1.0):
                 due += 1e-3 * late.number
             if not self._waiting and due <= now:
@@ -96,11 +95,11 @@ class Line:
             return self._waiting[0][0] if self._waiting else None
 
     def _befalls(self, name: str) -> bool:
-        told = self._told.get(name)
-        if told is None:
+        fault = self._faults.get(name)
+        if fault is None:
             return False
-        if told.share:
-            return self._random.random() * told.share < told.number
+        if fault.share:
+            return self._random.random() * fault.share < fault.number
         left = self._left[name]
         self._left[name] = max(left - 1, 0)
         return left > 0

@@ -104,11 +104,11 @@ class StandInArm(Arm):
     def _state(self) -> ArmState:
         with self._lock:
             world = self._reach()
-            robot = world.arms[_NAME]
+            robot = world.arms[_NAME].robot
             joints = robot.joints + self._random.normal(0.0, self._noise, self.dof) if self._noise else robot.joints
             return ArmState(
                 list(joints),
-                list(robot.velocities),
+                list(robot.joint_velocities),
                 time=min(world.time, self._clock()),  # the world is ahead by part of a physics step
                 device_time=world.time,
                 commanded_joints=list(world.goal(_NAME)),
@@ -124,9 +124,9 @@ class StandInArm(Arm):
     def _has_arrived(self) -> bool:
         with self._lock:
             world = self._reach()
-            robot = world.arms[_NAME]
+            robot = world.arms[_NAME].robot
             is_there = np.abs(world.goal(_NAME) - robot.joints).max() < ARRIVED
-            return bool(is_there and np.abs(robot.velocities).max() < STILL)
+            return bool(is_there and np.abs(robot.joint_velocities).max() < STILL)
 
     def _hold(self) -> None:
         with self._lock:

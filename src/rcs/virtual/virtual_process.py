@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import IO
@@ -37,10 +38,14 @@ class VirtualProcess:
         setup: Path | str | None = None,
         seed: int = 0,
         log: Path | str | None = None,
+        cameras: Sequence[str] = (),
+        tactile: bool = False,
     ) -> None:
         """Store the command; arguments as in `rcs virtual`."""
         given = {"--address": address, "--setup": setup, "--seed": seed, "--log": log}
         options = [word for name, value in given.items() if value is not None for word in (name, str(value))]
+        options += ["--cameras", *cameras] if cameras else []
+        options += ["--tactile"] if tactile else []
         self._command = [sys.executable, "-m", "rcs", "virtual", robot, *options]
         self._process: subprocess.Popen[str] | None = None
         self._words: IO[str] | None = None
@@ -64,8 +69,8 @@ class VirtualProcess:
         if not line:
             self._process.wait()
             raise InvalidSetup(f"`rcs {' '.join(self._command[3:])}` does not start: {self._last_words()}")
-        told = json.loads(line)
-        self.name, self.site = told["name"], Site(**told["site"])
+        report = json.loads(line)
+        self.name, self.site = report["name"], Site(**report["site"])
         return self
 
     def __exit__(
@@ -81,7 +86,7 @@ class VirtualProcess:
         return self._process.pid
 
     def tell(self, *words: object) -> str:
-        """Send a fault, such as `tell("lose", 3)`, or `tell("left/lose", 3)` to one of several robots.
+        """Send a fault, such as `tell("lose", 3)`, or `tell("left/lose", 3)` to one of several robots, or to a camera.
 
         Returns:
             The answer to a question such as `judge`; empty for a fault.

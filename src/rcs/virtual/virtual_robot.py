@@ -72,7 +72,7 @@ class VirtualRobot:
         self._force = np.zeros(model.nv)
         self._wanted = np.zeros(model.nv)
         if self.gripper is not None:
-            finger = layout.finger_actuator
+            (finger,) = layout.finger_actuator_ids
             limits: list[tuple[Any, Any]] = [(model.actuator_forcerange, finger)]
             limits += [(model.jnt_actfrcrange, joint) for joint in layout.finger_joint_ids]
             self._grip_limits = [(array, at, array[at].copy()) for array, at in limits]
@@ -113,7 +113,7 @@ class VirtualRobot:
         """Force per finger of the gripper's motor [N]; NaN without one."""
         if self.gripper is None:
             return np.nan
-        finger, at = self.body.layout.finger_joint_ids[0], self.body.layout.finger_actuator
+        finger, at = self.body.layout.finger_joint_ids[0], self.body.layout.finger_actuator_ids[0]
         if self._model.jnt_actfrclimited[finger]:
             force, (_, _, limit) = self._data.qfrc_actuator[self._model.jnt_dofadr[finger]], self._grip_limits[1]
         else:

@@ -1,8 +1,7 @@
 """A virtual world: the scene of a setup, stepped in real time, with a wire for each of its robots.
 
 Timing: one thread runs the loop. A tick is due every `1 / rate` seconds of the monotonic clock; late ticks are made up
-    at
-once, unless more than `LONGEST_GAP` has passed. Between ticks, the loop reads the wires' input.
+at once, unless more than `LONGEST_GAP` has passed. Between ticks, the loop reads the wires' input.
 """
 
 from __future__ import annotations
@@ -30,14 +29,16 @@ from rcs.sim.world import World
 from rcs.virtual.control import Control
 from rcs.virtual.fault import GENERIC, Fault
 from rcs.virtual.robot_log import RobotLog
+from rcs.virtual.sensors import VirtualSensors
 from rcs.virtual.virtual_robot import VirtualRobot
 from rcs.virtual.wire import Wire
 
 LONGEST_GAP = 0.25
 """Longest gap in time that is made up; longer ones are skipped, as if the world had stood still [s]."""
 
-ABOUT, JUDGE = "about", "judge"
-"""Questions: for name, site and setup as JSON; and for success of the task since the objects were last placed."""
+ABOUT, JUDGE, LOOK = "about", "judge", "look"
+"""Questions: for name, site and setup as JSON; for success of the task since the objects were last placed; and for the
+poses of the objects as JSON, now that somebody has placed them: from here on, success counts anew."""
 VERDICTS: Mapping[bool | None, str] = {True: "done", False: "not done", None: "not known"}
 """Answers to `judge`; "not known" for tasks without a goal."""
 
@@ -55,15 +56,19 @@ class VirtualWorld:
         seed: int = 0,
         log: Path | None = None,
         wires: Mapping[str, type[Wire]] | None = None,
+        cameras: Sequence[str] = (),
+        tactile: bool = False,
     ) -> None:
         """Place the robots at home and the objects according to the seed, and listen.
 
         Args:
-            setup: The scene and its robots; frequency, cameras and layers are ignored.
+            setup: The scene and its robots; frequency and layers are ignored, and so are cameras that are not named.
             address: Address of the first robot, None for the default; each further robot uses the next address.
             seed: Random seed of the objects' placement.
             log: Path of the log; None for none.
             wires: Wires by arm name, in addition to the installed ones.
+            cameras: Names of cameras that are served, too.
+            tactile: True to serve tactile sensors in the place of the grippers' pads, DIGITs unless the setup says.
 
         Raises:
             UnknownName: There is no wire for an arm, or a name in the setup does not exist.
@@ -73,7 +78,9 @@ class VirtualWorld:
         kinds = {stand.name: _wire_of(stand.arm, wires or {}) for stand in lab_of(setup.robot).stands}
         self.rate = max(kind.rate for kind in kinds.values())
         """Ticks per second [Hz]."""
-        parts = resolve(replace(setup, cameras=(), randomisation=None, compliance=None, physics_step=1.0 / self.rate))
+        setup = replace(setup, randomisation=None, compliance=None, physics_step=1.0 / self.rate)
+        setup = replace(setup, tactile=(setup.tactile or "digit") if tactile else None)
+        parts = resolve(replace(setup, cameras=_chosen(setup, cameras)))
         self.world = World(compose(parts).compile(), frequency=self.rate)
         """The physics."""
         self.setup = parts.setup
@@ -92,7 +99,11 @@ class VirtualWorld:
         self._is_ended = False
         self.wires: dict[str, Wire] = {}
         """The wires by robot."""
+        self.hands: dict[str, tuple[str, Wire]] = {}
+        """Robots and wires of hands that have one of their own, by `hand`, or `robot_hand` of several robots."""
         self.control: Control | None = None
+        self.sensors: VirtualSensors | None = None
+        """The cameras and tactile sensors that are served."""
         self.reset(seed)
         for robot in self.robots.values():
             robot.rest()
@@ -101,6 +112,12 @@ class VirtualWorld:
                 address = kind.address if address is None else address
                 self.wires[name] = kind(self.robots[name], address)
                 address = kind.next_address(address)
+                hand = self.robots[name].body.placement.hand
+                if hand is not None and hand.name in lookup.names("wire"):
+                    label = "hand" if len(kinds) == 1 else f"{name}_hand"
+                    self.hands[label] = (name, _wire_of(hand.name, wires or {})(self.robots[name], ""))
+            if cameras or tactile:
+                self.sensors = VirtualSensors(self.world, self.setup)
             robot = setup.robot
             self.control = Control(robot if isinstance(robot, str) else "-".join(robot))
         except BaseException:
@@ -114,12 +131,15 @@ class VirtualWorld:
         return self.control.name
 
     def site(self) -> dict[str, dict[str, Any]]:
-        """Return the site of its robots in the format of a site file."""
+        """Return the site of its robots and sensors in the format of a site file."""
         site: dict[str, dict[str, Any]] = {}
         for name, wire in self.wires.items():
             for kind, entry in wire.site().items():
                 site.setdefault(kind, {})[name] = dict(entry)
-        return site
+        for name, wire in self.hands.values():
+            for kind, entry in wire.site().items():
+                site.setdefault(kind, {})[name] = dict(entry)
+        return site if self.sensors is None else {**site, **self.sensors.site()}
 
     def reset(self, seed: int, episode: int = 0) -> None:
         """Place the objects like a reset with a seed; the robots stay in place.
@@ -160,21 +180,35 @@ class VirtualWorld:
         """Apply a fault or answer a question.
 
         Args:
-            words: Name of the robot, or "" for all; then a fault and its value, or a question.
+            words: Name of the robot, "" for all robots, or name of a sensor; then a fault and its value, or a question.
 
         Returns:
             The answer; empty for a fault.
 
         Raises:
-            UnknownName: There is no such robot, or it has no such fault.
+            UnknownName: There is no such robot or sensor, or it has no such fault.
             InvalidSetup: The value is invalid; nothing happens then.
         """
         name, *rest = words
+        sensors = [] if self.sensors is None else self.sensors.names
+        if self.sensors is not None and name in sensors:
+            self.sensors.tell(name, rest)
+            self.log.note("", "told", sensor=name, fault=rest[0], value=" ".join(rest[1:]))
+            return ""
+        if name in self.hands:
+            robot, wire = self.hands[name]
+            fault = Fault.parse(rest, {**wire.faults, "clear": ""})
+            wire.clear() if fault.name == "clear" else wire.tell(fault)
+            self.robots[robot].note("told", hand=name, fault=fault.name, value=fault.value)
+            return ""
         if name and name not in self.robots:
-            raise UnknownName("robot of this world", name, self.robots)
+            raise UnknownName("robot, hand or sensor of this world", name, [*self.robots, *self.hands, *sensors])
         if rest == [JUDGE]:
             self._judge()
             return VERDICTS[self.success]
+        if rest == [LOOK]:
+            self.success = None
+            return json.dumps({one: pose.tolist() for one, pose in self._simulation.object_poses().items()})
         if rest == [ABOUT]:
             return json.dumps({"name": self.name, "site": self.site(), "setup": self.setup.to_json()})
         names = [name] if name else list(self.robots)
@@ -198,6 +232,9 @@ class VirtualWorld:
             robot.press(np.zeros(3))
             robot.line.clear()
             wire.clear()
+            for name, hand in self.hands.values():
+                if name == robot.name:
+                    hand.clear()
         else:
             robot.line.tell(fault)
 
@@ -225,10 +262,12 @@ class VirtualWorld:
 
     def close(self) -> None:
         """Release all addresses and files; closing twice is harmless."""
-        for wire in self.wires.values():
+        for wire in (*self.wires.values(), *(one for _, one in self.hands.values())):
             wire.close()
         if self.control is not None:
             self.control.close()
+        if self.sensors is not None:
+            self.sensors.close()
         self.log.note("", "end", ticks=self.ticks, late=self.late_ticks)
         self.log.close()
         self.world.close()
@@ -241,7 +280,11 @@ class VirtualWorld:
             if not robot.is_frozen:
                 self.wires[name].tick(robot)
             robot.settle()
+        for name, wire in self.hands.values():
+            wire.tick(self.robots[name])
         self.world.advance()
+        if self.sensors is not None:
+            self.sensors.show()
         if self.ticks % self._judged_every == 0:
             self._judge()
         for robot in self.robots.values():
@@ -256,6 +299,8 @@ class VirtualWorld:
             for name, wire in self.wires.items():
                 if not self.robots[name].is_frozen:
                     heard.update(dict.fromkeys(wire.files(), wire))
+            for _, wire in self.hands.values():
+                heard.update(dict.fromkeys(wire.files(), wire))
             rest = max(until - time.monotonic(), 0.0)
             ready, _, _ = select.select([self.control.socket, *heard], [], [], self._wait(rest))
             for file in ready:
@@ -285,6 +330,12 @@ def usual_setup(robot: str) -> Setup:
     if len(lab.stands) > 1:
         return Setup(task="LiftBar", robot=robot)
     return Setup(task="PickCuboid" if lab.end_effector in lookup.names("gripper") else "PickToy", robot=robot)
+
+
+def _chosen(setup: Setup, cameras: Sequence[str]) -> Any:
+    """Return the cameras of a setup, or those of its lab, that are named."""
+    mounts = {name: mount for name, mount in setup.cameras.mounts.items() if name in cameras}
+    return replace(setup.cameras, names=tuple(cameras), mounts=mounts, pixels=None) if cameras else ()
 
 
 def _wire_of(arm: str, wires: Mapping[str, type[Wire]]) -> type[Wire]:

@@ -1,0 +1,400 @@
+// The thread that leads a streamed arm from tick to tick, and what it exchanges with those that use the arm.
+#pragma once
+
+#include <time.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <exception>
+#include <mutex>
+#include <sstream>
+#include <thread>
+#include <utility>
+
+#include "fork.hpp"
+#include "newest.hpp"
+#include "rcs/result.hpp"
+#include "rcs/streamed_arm.hpp"
+#include "real_time.hpp"
+#include "stream_leader.hpp"
+
+namespace rcs {
+
+// Periods after which a target that no other one follows is the last of its stream. A plan lasts for two.
+inline constexpr double kPatience = 1.5;
+// How long `recover` and `guide` wait for the arm's thread besides what the vendor's functions take [s].
+inline constexpr double kAnswerTime = 2.0;
+
+inline MotionLimits motion_limits(const std::string& name, const ArmLimits& limits) {
+  if (limits.joint_acceleration.empty() || limits.joint_jerk.empty())
+    throw InvalidSetup(name + ": a streamed arm needs limits of acceleration and jerk for every joint");
+  return {limits.joint_lower, limits.joint_upper, limits.joint_velocity, limits.joint_acceleration, limits.joint_jerk};
+}
+
+// What the arm's thread has, and what others exchange with it. Members are the thread's unless they say otherwise.
+struct StreamedArm::Loop {
+  struct Order {
+    std::uint64_t number = 0;
+    double deadline = kForever;
+    CommandKind kind = CommandKind::joints;
+    std::vector<double> values;
+  };
+  struct Seen {
+    ArmState state;
+    std::uint64_t done = 0;
+    std::uint64_t holds = 0;
+    bool is_still = true;
+    CommandKind kind = CommandKind::joints;
+  };
+  enum class Request : std::uint8_t { none, clear, give_way };
+
+  explicit Loop(StreamedArm& arm)
+      : arm(arm), leader(motion_limits(arm.name(), arm.limits()), arm.options_), period(arm.options_.period) {}
+
+  // --- Called by others.
+
+  void begin() {
+    for (auto* count : {&sent, &held, &holds, &rested, &ticks, &missed, &lapses}) *count = 0;
+    leader.forget_counts();
+    is_led = is_closing = is_abandoned = false;
+    real_time.forget();
+    is_reading = true;
+    gave_way = is_asked = is_braking = false;
+    kind = CommandKind::joints;
+    done = taken_holds = 0;
+    last_tick = kForever;
+    arm.connect();
+    read();
+    publish();
+    forked = forks();
+    is_running = false;
+    thread = std::thread([this] { run(); });
+    is_running.wait(false);
+  }
+
+  double silence() const { return monotonic_time() - last_tick; }
+
+  std::string silent_text() const {
+    std::ostringstream text;
+    text << "the controller has not answered for " << silence()
+         << " s: look at its state, its power and its cable; the last call to it has not returned";
+    return text.str();
+  }
+
+  // Have the thread do something and wait for it; what the vendor throws is thrown here.
+  void ask(Request what) {
+    failure = nullptr;
+    request = what;
+    for (double waited = 0.0; request != Request::none; waited = std::max(waited, silence())) {
+      if (waited > kAnswerTime) {
+        request = Request::none;
+        throw DeviceFault(arm.name() + ": " + silent_text());
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    if (failure) std::rethrow_exception(std::exchange(failure, nullptr));
+  }
+
+  void end() {
+    is_closing = true;
+    if (!thread.joinable()) return;
+    if (forked == forks())
+      thread.join();
+    else
+      thread.detach();  // it is the parent's
+  }
+
+  // --- The thread.
+
+  void run() {
+    thread_id = std::this_thread::get_id();
+    real_time.request();
+    is_running = true;
+    is_running.notify_all();
+    const double tick_time = 1.0 / arm.options_.rate;
+    int late = 0;
+    next = monotonic_time();
+    last_tick = next;
+    while (tick(late)) {
+      if (arm.options_.is_paced_by_read && is_reading) continue;
+      next += tick_time;
+      const timespec until{static_cast<time_t>(next), static_cast<long>((next - std::floor(next)) * 1e9)};
+      while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr) == EINTR) continue;
+      const auto left_out = static_cast<int>(std::clamp((monotonic_time() - next) / tick_time, 0.0, 1e6));
+      late = left_out > 0 ? late + left_out : 0;
+      missed += static_cast<std::uint64_t>(left_out);
+      next += left_out * tick_time;
+    }
+  }
+
+  // Whether there is a next one.
+  bool tick(int late) {
+    last_tick = monotonic_time();
+    if (is_reading) try_to("read", [this] { read(); });
+    if (is_abandoned.exchange(false)) break_down(silent_text());
+    if (is_led && late > arm.options_.missed_ticks) {
+      const std::string advice = real_time.advice();
+      break_down("the arm's thread came " + std::to_string(late) + " ticks too late: this machine is busy" +
+                 (advice.empty() ? "" : "; ") + advice);
+    }
+    answer();
+    if (is_led && kind == CommandKind::joints) check_tracking();
+    take_orders();
+    if (is_led) kind == CommandKind::joints ? lead() : lead_otherwise();
+    publish();
+    if (stands()) rested = taken_holds;
+    if (!is_closing) return true;
+    if (is_led && stands()) {
+      is_led = false;
+      try_to("stop", [this] { arm.stop(); });
+    }
+    return is_led;
+  }
+
+  bool stands() { return !is_led || (kind == CommandKind::joints && leader.is_still()); }
+
+  void lead_otherwise() {
+    bool has_come_to_rest = false;
+    const bool is_done = try_to("write", [&] {
+      if (is_braking)
+        has_come_to_rest = arm.brake_other();
+      else
+        arm.write_other(kind, values);
+      ++ticks;
+    });
+    if (is_done && has_come_to_rest) stand();
+  }
+
+  // Have the vendor do something that may take long, of which no deadline is kept.
+  template <typename Call>
+  void take_time(Call call) {
+    last_tick = kForever;
+    call();
+    last_tick = next = monotonic_time();
+  }
+
+  template <typename Call>
+  bool try_to(const char* what, Call call) {
+    try {
+      call();
+      return true;
+    } catch (const std::exception& error) {
+      break_down(what, error);
+    }
+    return false;
+  }
+
+  void read() {
+    measured.time = measured.device_time = kNaN;
+    arm.read(measured);
+    const auto n = static_cast<std::size_t>(arm.dof());
+    if (measured.joints.size() != n || measured.joint_velocities.size() != n)
+      throw DeviceFault("the device measured " + std::to_string(measured.joints.size()) + " joints, it has " +
+                        std::to_string(n));
+    for (std::size_t i = 0; i < n; ++i)
+      if (!std::isfinite(measured.joints[i]) || !std::isfinite(measured.joint_velocities[i]))
+        throw DeviceFault("the device measured a value that is not finite at joint " + std::to_string(i));
+    if (std::isnan(measured.time)) measured.time = monotonic_time();
+  }
+
+  // Stop first: an exception from Python waits for the interpreter to give its message.
+  void break_down(const std::string& what, const std::exception& error) {
+    is_breaking = true;
+    const std::string failure = stop_leading();
+    if (what == "read") is_reading = false;
+    take_time([&] {
+      const bool is_said = dynamic_cast<const DeviceFault*>(&error);
+      arm.set_fault((is_said ? "" : what + " failed: ") + words_of(error) + failure);
+    });
+    is_breaking = false;
+  }
+  void break_down(const std::string& reason) {
+    is_breaking = true;
+    const std::string failure = stop_leading();
+    take_time([&] { arm.set_fault(reason + failure); });
+    is_breaking = false;
+  }
+
+  std::string words_of(const std::exception& error) const { return arm.words_of(error).value_or(error.what()); }
+
+  // Returns what to say of a controller that could not be stopped.
+  std::string stop_leading() {
+    std::string text;
+    if (!is_led.exchange(false)) return text;
+    is_asked = false;
+    take_time([&] {
+      try {
+        arm.stop();
+      } catch (const std::exception& error) {
+        text = "; stop failed: " + words_of(error);
+      }
+    });
+    return text;
+  }
+
+  void answer() {
+    const Request what = request;
+    if (what == Request::none) return;
+    if (what == Request::clear && std::exchange(gave_way, false))
+      start();  // the hold that ended it comes with the fault
+    try {
+      take_time([&] {
+        if (what == Request::give_way) {
+          is_led = is_asked = false;
+          arm.give_way();
+          gave_way = true;
+        } else if (!is_led) {  // where it is led, the controller is well
+          arm.clear();
+          read();
+          is_reading = true;
+        }
+      });
+    } catch (...) {
+      failure = std::current_exception();
+      last_tick = next = monotonic_time();
+    }
+    request = Request::none;
+  }
+
+  void check_tracking() {
+    const std::span<const double> led = leader.position();
+    for (std::size_t i = 0; i < led.size(); ++i) {
+      if (std::abs(measured.joints[i] - led[i]) <= arm.options_.tracking_error) continue;
+      std::ostringstream text;
+      text << "joint " << i << " is at " << measured.joints[i] << " rad and was led to " << led[i]
+           << " rad, farther apart than " << arm.options_.tracking_error
+           << " rad: it is blocked or overloaded, or its motor is off";
+      return break_down(text.str());
+    }
+  }
+
+  void take_orders() {
+    const double now = monotonic_time();
+    if (const std::uint64_t all = holds; all != taken_holds) {
+      taken_holds = all;
+      done = std::max(done, held.load());
+      if (is_asked && now >= deadline) ++lapses;  // whoever keeps it
+      if (std::exchange(gave_way, false)) start();
+      brake();
+    }
+    if (is_closing) return brake();
+    if (orders.is_fresh()) {
+      const Order& order = orders.take();
+      if (order.number <= done) return;
+      done = order.number;
+      if (!arm.fault().empty()) return;  // it came between the check of this command and its sending
+      deadline = order.deadline;
+      if (now < deadline && (is_led || start())) {
+        if (order.kind != kind && !stands()) return brake();  // it came before this one was seen
+        kind = order.kind;
+        if (kind == CommandKind::joints)
+          leader.follow(order.values, period);
+        else
+          values = order.values;
+        is_asked = true;
+        is_braking = false;
+        since = 0;
+        return;
+      }
+    }
+    if (!is_asked) return;
+    if (now >= deadline) {
+      ++lapses;
+      brake();
+    } else if (kind == CommandKind::joints && ++since > kPatience * period * arm.options_.rate) {
+      leader.go_on(period);
+      since = 0;
+    }
+  }
+
+  bool start() {
+    is_starting = true;
+    const bool has_started = try_to("start", [this] { stand_up(); });
+    is_starting = false;
+    return has_started;
+  }
+
+  // From here on the arm is led, at first to where it is.
+  void stand_up() {
+    take_time([this] {
+      arm.start();
+      read();
+    });
+    stand();
+    is_led = true;
+  }
+
+  // Led to where it is.
+  void stand() {
+    kind = CommandKind::joints;
+    leader.stand(measured.joints);
+    is_asked = is_braking = false;
+  }
+
+  void brake() {
+    if (kind != CommandKind::joints)
+      is_braking = true;
+    else if (is_led)
+      leader.brake();
+    is_asked = false;
+  }
+
+  void lead() {
+    const StreamPoint* point = nullptr;
+    if (!try_to("box", [&] { point = &leader.advance(); })) return;
+    try_to("write", [&] {
+      arm.write(*point);
+      ++ticks;
+    });
+  }
+
+  void publish() {
+    Seen& now = seen.next();
+    now.state = measured;
+    if (now.state.commanded_joints.empty() && is_led && kind == CommandKind::joints)
+      now.state.commanded_joints.assign(leader.target().begin(), leader.target().end());
+    now.done = done;
+    now.holds = taken_holds;
+    now.is_still = stands();
+    now.kind = kind;
+    seen.publish();
+  }
+
+  StreamedArm& arm;
+  StreamLeader leader;
+
+  // Exchanged with other threads.
+  std::mutex user;  // of those that use the arm; its thread never takes it
+  Newest<Order> orders;
+  Newest<Seen> seen;
+  std::atomic<double> period, last_tick = kForever;
+  std::atomic<std::uint64_t> sent = 0;    // commands so far
+  std::atomic<std::uint64_t> held = 0;    // of these, the ones that came before the last order to hold
+  std::atomic<std::uint64_t> holds = 0;   // orders to hold so far
+  std::atomic<std::uint64_t> rested = 0;  // of these, the last one after which the arm stood still
+  std::atomic<std::uint64_t> ticks = 0, missed = 0, lapses = 0;
+  std::atomic<bool> is_running = false, is_led = false, is_closing = false, is_reading = true;
+  std::atomic<bool> is_starting = false;   // for a command that was near
+  std::atomic<bool> is_breaking = false;   // it has stopped, and its fault is about to be set
+  std::atomic<bool> is_abandoned = false;  // another thread stopped it because it did not answer
+  RealTime real_time;
+  std::atomic<Request> request = Request::none;
+  std::exception_ptr failure;  // of the request
+
+  std::thread thread;
+  std::atomic<std::thread::id> thread_id;
+  unsigned forked = 0;
+  double next = 0.0;  // s, when the next tick is
+  ArmState measured;
+  double deadline = kForever;
+  std::uint64_t done = 0, taken_holds = 0;
+  int since = 0;          // ticks since it was followed
+  bool is_asked = false;  // there is a command to follow
+  bool gave_way = false;
+  CommandKind kind = CommandKind::joints;  // what the arm is led by
+  std::vector<double> values;              // of the last command, where that was another kind than joints
+  bool is_braking = false;                 // from another kind than joints
+};
+
+}  // namespace rcs

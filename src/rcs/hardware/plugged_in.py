@@ -1,0 +1,59 @@
+"""What is plugged into this machine, as lines for a site file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+from rcs.errors import MissingDependency
+from rcs.extras import package_of
+from rcs.hardware.digit import MODEL
+from rcs.hardware.usb import UsbDevice, usb_devices
+
+INTEL, REALSENSE = "8086", "RealSense"
+"""USB vendor, and part of the product's name."""
+SERIAL_CHIPS = {"1a86": "a serial adapter such as that of an SO101", "0403": "a serial adapter such as a U2D2"}
+"""USB vendors of serial adapters (WCH, FTDI), and what they may belong to."""
+
+
+def site_lines(devices: Sequence[UsbDevice] | None = None) -> list[str]:
+    """Return a line per device that a driver takes, with what it is in a comment's place: `"NAME": {...}  what it is`.
+
+    Args:
+        devices: The devices; None for those that are plugged in.
+    """
+    found: list[str] = []
+    serials = _realsense_serials()
+    for one in usb_devices() if devices is None else devices:
+        is_video = any(node.startswith("video") for node in one.nodes)
+        ports = [node for node in one.nodes if node.startswith("tty")]
+        if one.vendor_id == INTEL and REALSENSE in one.product:
+            address = serials.get(one.path, "")
+            hint = "" if address else "; pip install 'robot-control-stack[realsense]' shows its serial number"
+            found.append(_line("cameras", "realsense", address, f"{one}{hint}"))
+        elif is_video and one.product == MODEL:
+            found.append(_line("tactile", "digit", one.address, str(one)))
+        elif is_video:
+            found.append(_line("cameras", "webcam", one.address, str(one)))
+        elif ports:
+            what = SERIAL_CHIPS.get(one.vendor_id, "a serial port")
+            found.append(_line("arms", "DRIVER", f"/dev/{ports[0]}", f"{what}: {one}"))
+    return found or ["Nothing is plugged in that a driver takes: no camera, DIGIT or serial port on USB."]
+
+
+def _line(kind: str, driver: str, address: str, what: str) -> str:
+    return f'"{kind}": {{"NAME": {json.dumps({"driver": driver, "address": address})}}}    {what}'
+
+
+def _realsense_serials() -> dict[str, str]:
+    """Return serial numbers of RealSense cameras by place, since the bus has others; none without the library."""
+    try:
+        rs = package_of("realsense", "pyrealsense2")
+    except MissingDependency:
+        return {}
+    found: dict[str, str] = {}
+    for device in rs.context().query_devices():
+        port = device.get_info(rs.camera_info.physical_port)
+        for path in str(port).split("/"):
+            found[path] = device.get_info(rs.camera_info.serial_number)
+    return found

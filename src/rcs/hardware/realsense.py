@@ -1,0 +1,298 @@
+"""The driver of Intel RealSense cameras, by the vendor's library."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Mapping
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.devices import Camera, CameraCalibration, CameraMode, Frame
+from rcs.errors import DeviceFault, InvalidSetup, require_fields
+from rcs.extras import package_of
+from rcs.hardware.device_clock import DeviceClock
+from rcs.hardware.driver import Driver
+from rcs.hardware.usb import Plug, usb_devices
+from rcs.hardware.video_camera import LONGEST_WARM_UP, seconds
+from rcs.robots.camera import CameraDescription
+
+_log = logging.getLogger(__name__)
+
+CONTROLS = ("exposure", "gain", "white_balance", "power_line_frequency", "emitter")
+OPTIONS = ("warm_up", "latency", *CONTROLS)
+"""Options of a site: `warm_up` [s] drops the first pictures; `latency` [s] is the time that the fastest picture takes;
+the others set the camera: `exposure` [s], `gain`, `white_balance` [K], `power_line_frequency` (0, 50 or 60 Hz), and
+`emitter`, whether the pattern for depth is projected."""
+READ_LIMIT = 1.0
+"""Longest wait for a picture [s]."""
+RESET_AFTER = 4
+"""Number of failures in a row after which the camera's hardware is reset."""
+RAW_BITS = 16
+"""Bits per pixel of colours (YUYV) and of depth on the bus."""
+
+
+class RealsenseDriver(Driver):
+    """Driver of D400 cameras. The address is a serial number, or the path of a recording (`.db3`, `.bag`) to play."""
+
+    def camera(self, address: str, about: CameraDescription, mode: CameraMode, options: Mapping[str, Any]) -> Realsense:
+        """Return a camera; its depth, if the mode has it, is aligned to the colours."""
+        require_fields("option of a RealSense", options, OPTIONS)
+        if mode.has_depth and not about.has_depth:
+            raise InvalidSetup(f"{about.label} has no depth; use depth=False, or another camera.")
+        return Realsense(address, mode, options)
+
+
+class Realsense(Camera):
+    """A D400 camera, or a recording of one."""
+
+    def __init__(self, address: str, mode: CameraMode, options: Mapping[str, Any]) -> None:
+        """Open nothing yet; arguments as in the driver.
+
+        Raises:
+            InvalidSetup: An option is not valid.
+        """
+        self._warm_up = seconds("warm_up", options.get("warm_up", 0.0), LONGEST_WARM_UP)
+        self._latency = seconds("latency", options.get("latency", 0.0), 1.0)
+        super().__init__(f"RealSense {address}", mode)
+        self._address, self._options = address, dict(options)
+        self._is_recording = address.endswith((".db3", ".bag"))
+        self._pipeline: Any = None
+        self._device: Any = None
+        self._align: Any = None
+        self._millimetres = 1.0
+        self._known_calibration: CameraCalibration | None = None
+        self._clock = DeviceClock(self._latency)
+        self._failures = 0
+        self._told: dict[str, Any] = {}
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Facts for recordings: address, options, and once it is open, what the camera says of itself."""
+        return {"serial": self._address, "options": self._options, **self._told}
+
+    def plug(self) -> Plug | None:
+        """Return its place on a USB bus; None for a recording.
+
+        Raises:
+            InvalidSetup: It is not plugged in.
+        """
+        if self._is_recording:
+            return None
+        rs = _library()
+        port = self._find(rs).get_info(rs.camera_info.physical_port)
+        streams = 2 if self.mode.has_depth else 1
+        needs = streams * RAW_BITS * self.mode.width * self.mode.height * self.mode.fps / 1e6
+        place = next((one for one in usb_devices() if f"/{one.path}/" in f"{port}/"), None)
+        return None if place is None else Plug(device=place, needs=needs)
+
+    def _open(self) -> None:
+        try:
+            self._start()
+            self._failures = 0
+        except InvalidSetup:
+            raise
+        except RuntimeError as err:  # the library's own errors
+            self._fail(err)
+
+    def _recover(self) -> None:
+        self._stop()
+        self._open()
+
+    def _start(self) -> None:
+        rs = _library()
+        config, pipeline, mode = rs.config(), rs.pipeline(), self.mode
+        if self._is_recording:
+            config.enable_device_from_file(self._address, False)
+            config.enable_stream(rs.stream.color)
+            if mode.has_depth:
+                config.enable_stream(rs.stream.depth)
+        else:
+            self._device = self._find(rs)
+            config.enable_device(self._address)
+            self._choose(rs, config)
+            self._set_controls(rs)
+        self._pipeline = pipeline
+        profile = pipeline.start(config)
+        device = profile.get_device()
+        color = profile.get_stream(rs.stream.color).as_video_stream_profile()
+        self._known_calibration = _calibration(rs, color.get_intrinsics())
+        if mode.has_depth:
+            depth = profile.get_stream(rs.stream.depth).as_video_stream_profile()
+            self._align = None if _is_aligned(depth, color) else rs.align(rs.stream.color)
+            self._millimetres = 1000.0 * device.first_depth_sensor().get_depth_scale()
+        names = {"model": "name", "firmware": "firmware_version", "usb": "usb_type_descriptor"}
+        fields = {told: getattr(rs.camera_info, name) for told, name in names.items()}
+        self._told = {told: device.get_info(field) for told, field in fields.items() if device.supports(field)}
+        self._clock = DeviceClock(self._latency)
+        begin, count = time.monotonic(), 0
+        while (since := time.monotonic() - begin) < self._warm_up or count < 3 or (count < 10 and since < 0.5):
+            self._host_time(rs, self._frames(rs).get_color_frame(), time.monotonic())
+            count += 1
+
+    def _read(self) -> Frame:
+        rs = _library()
+        if self._pipeline is None:
+            raise DeviceFault("the camera is not connected")
+        try:
+            frames = self._frames(rs)
+        except RuntimeError as err:
+            self._fail(err)
+        arrived = time.monotonic()
+        color, depth = frames.get_color_frame(), None
+        if self.mode.has_depth:
+            frames = frames if self._align is None else self._align.process(frames)
+            measured = frames.get_depth_frame()
+            depth = _in_millimetres(np.asanyarray(measured.get_data()), self._millimetres)
+        taken, device_time = self._host_time(rs, color, arrived)
+        self._failures = 0
+        rgb = np.array(np.asanyarray(color.get_data()), np.uint8)
+        return Frame(rgb, depth, number=color.get_frame_number(), time=taken, device_time=device_time)
+
+    def _calibration(self) -> CameraCalibration | None:
+        return self._known_calibration
+
+    def _close(self) -> None:
+        self._stop()
+
+    def _stop(self) -> None:
+        pipeline, self._pipeline = self._pipeline, None
+        if pipeline is not None:
+            try:
+                pipeline.stop()
+            except RuntimeError as err:  # it had not started
+                _log.debug("%s: %s", self.name, err)
+
+    def _fail(self, err: Exception) -> NoReturn:
+        """Raise an error of the library as a fault; after several in a row, reset the camera's hardware before."""
+        self._failures += 1
+        if self._failures >= RESET_AFTER and self._device is not None:
+            self._failures = 0
+            _log.warning("%s has failed %d times in a row; its hardware is reset: %s", self.name, RESET_AFTER, err)
+            self._device.hardware_reset()
+        raise DeviceFault(str(err)) from err
+
+    def _frames(self, rs: Any) -> Any:
+        """Return the newest set of pictures: all of them there, and of one moment."""
+        until = time.monotonic() + READ_LIMIT
+        while True:
+            frames = self._pipeline.wait_for_frames(max(1, int(1000 * (until - time.monotonic()))))
+            while (newer := self._pipeline.poll_for_frames()).size():
+                frames = newer
+            color, depth = frames.get_color_frame(), frames.get_depth_frame()
+            if color and not self.mode.has_depth:
+                return frames
+            # The two are free-running; a set that paired neighbours would show things where they were not.
+            if color and depth and abs(color.get_timestamp() - depth.get_timestamp()) < 600.0 / self.mode.fps:
+                return frames
+
+    def _host_time(self, rs: Any, frame: Any, arrived: float) -> tuple[float, float]:
+        """Return when a picture was taken, on the host's clock and on the camera's [s]."""
+        at = 1e-3 * frame.get_timestamp()
+        if frame.get_frame_timestamp_domain() == rs.timestamp_domain.global_time:  # mapped to Unix time by the library
+            taken = at - time.time() + time.monotonic()
+            if not -0.1 < arrived - taken < 2.0:
+                raise DeviceFault(f"the library dates a picture by {arrived - taken:.3f} s; has the clock been set?")
+            return min(taken, arrived), at
+        return self._clock.host_time(at, arrived), at
+
+    def _find(self, rs: Any) -> Any:
+        """Return the camera with the serial number, without starting it: that would wait for 15 s."""
+        devices = list(rs.context().query_devices())
+        serial = rs.camera_info.serial_number
+        for device in devices:
+            if device.get_info(serial) == self._address:
+                return device
+        there = ", ".join(f"{one.get_info(rs.camera_info.name)} ({one.get_info(serial)})" for one in devices)
+        raise InvalidSetup(f"No RealSense has the serial number {self._address!r}. Plugged in: {there or 'none'}.")
+
+    def _choose(self, rs: Any, config: Any) -> None:
+        """Choose the streams of the mode; depth has its size, or else the largest that there is at this rate."""
+        mode, offered = self.mode, [one for sensor in self._device.query_sensors() for one in _modes(rs, sensor)]
+        size, rate = (mode.width, mode.height), int(mode.fps)
+        colours = {(w, h, r) for kind, w, h, r in offered if kind == rs.stream.color}
+        depths = {(w, h, r) for kind, w, h, r in offered if kind == rs.stream.depth}
+        if (*size, rate) not in colours:
+            each = ", ".join(f"{w}x{h} at {r}" for w, h, r in sorted(colours))
+            raise InvalidSetup(f"{self.name} does not offer {size[0]}x{size[1]} at {rate} Hz; it has {each}.")
+        config.enable_stream(rs.stream.color, *size, rs.format.rgb8, rate)
+        if not mode.has_depth:
+            return
+        fitting = [(w, h) for w, h, r in depths if r == rate]
+        if not fitting:
+            raise InvalidSetup(f"{self.name} has no depth at {rate} Hz; it has {sorted({r for *_, r in depths})}.")
+        config.enable_stream(rs.stream.depth, *(size if size in fitting else max(fitting)), rs.format.z16, rate)
+
+    def _set_controls(self, rs: Any) -> None:
+        """Set the controls of the options and read them back; leave others to the camera."""
+        given = self._options
+        option = rs.option
+        automatic = {"exposure": option.enable_auto_exposure, "white_balance": option.enable_auto_white_balance}
+        ids = {name: getattr(option, name) for name in ("exposure", "gain", "white_balance", "power_line_frequency")}
+        ids["emitter"] = option.emitter_enabled
+        for name in CONTROLS:
+            sensors = [one for one in self._device.query_sensors() if one.supports(ids[name])]
+            colours = [one for one in sensors if any(kind == rs.stream.color for kind, *_ in _modes(rs, one))]
+            sensors = sensors if name == "emitter" else colours or sensors
+            switch = automatic.get(name)
+            for sensor in sensors if switch is not None else ():
+                if sensor.supports(switch):
+                    sensor.set_option(switch, 0.0 if name in given else 1.0)
+            if name not in given:
+                continue
+            if not sensors:
+                raise InvalidSetup(f"{self.name} has no control {name!r}.")
+            value = float(given[name]) * (1e6 if name == "exposure" else 1.0)
+            if name == "power_line_frequency":
+                value = {0.0: 0.0, 50.0: 1.0, 60.0: 2.0}.get(value, math.nan)
+            reach = sensors[0].get_option_range(ids[name])
+            if not reach.min <= value <= reach.max:
+                scale = 1e-6 if name == "exposure" else 1.0
+                valid = f"{reach.min * scale:g} to {reach.max * scale:g}"
+                raise InvalidSetup(f"{name} of {self.name} is {given[name]!r}; valid is {valid}.")
+            sensors[0].set_option(ids[name], value)
+            if abs((kept := sensors[0].get_option(ids[name])) - value) > max(reach.step, 1.0):
+                raise DeviceFault(f"{self.name} keeps {name} at {kept:g} when it is set to {value:g}")
+
+
+def _library() -> Any:
+    return package_of("realsense", "pyrealsense2", "A RealSense needs")
+
+
+def _modes(rs: Any, sensor: Any) -> list[tuple[Any, int, int, int]]:
+    """Return kind, width, height and rate of a sensor's colours and depths."""
+    found: list[tuple[Any, int, int, int]] = []
+    for profile in sensor.get_stream_profiles():
+        kind = profile.stream_type()
+        wanted = {rs.stream.color: rs.format.rgb8, rs.stream.depth: rs.format.z16}.get(kind)
+        if profile.is_video_stream_profile() and profile.format() == wanted:
+            video = profile.as_video_stream_profile()
+            found.append((kind, video.width(), video.height(), video.fps()))
+    return found
+
+
+def _calibration(rs: Any, seen: Any) -> CameraCalibration:
+    """Return factory intrinsics; the library counts pixels like OpenCV, from the centre of the first."""
+    matrix = np.array([[seen.fx, 0.0, seen.ppx], [0.0, seen.fy, seen.ppy], [0.0, 0.0, 1.0]])
+    is_opencv = seen.model in (rs.distortion.brown_conrady, rs.distortion.modified_brown_conrady)
+    return CameraCalibration(matrix, list(seen.coeffs) if is_opencv and any(seen.coeffs) else [])
+
+
+def _is_aligned(depth: Any, color: Any) -> bool:
+    """Return whether depth and colours show the same view, as in a D405; aligning would only make holes."""
+    pose = depth.get_extrinsics_to(color)
+    if any(pose.translation) or not np.allclose(pose.rotation, np.eye(3).ravel()):
+        return False
+    views = [(one.width, one.height, one.fx, one.fy, one.ppx, one.ppy) for one in (depth.intrinsics, color.intrinsics)]
+    return np.allclose(views[0], views[1])
+
+
+def _in_millimetres(raw: NDArray[np.uint16], scale: float) -> NDArray[np.uint16]:
+    """Return depth in millimetres; what is farther than 65.5 m counts as no reading."""
+    if abs(scale - 1.0) < 1e-4:
+        return raw.copy()
+    scaled = np.rint(raw * scale)
+    return np.where(scaled > np.iinfo(np.uint16).max, 0, scaled).astype(np.uint16)

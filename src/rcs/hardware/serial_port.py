@@ -1,0 +1,52 @@
+"""Serial ports: one program at a time, and remedies for those that cannot be opened."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+
+from rcs.errors import DeviceFault
+from rcs.hardware.programs import program_of
+
+
+def claim(address: str, what: str) -> int:
+    """Lock a serial port against other programs and return a file, whose closing gives it free.
+
+    Args:
+        address: Path of the port.
+        what: Name of what is there for messages, such as "servo bus".
+
+    Raises:
+        DeviceFault: The port does not exist, may not be used, or is in use by another program; the message says what to
+            do.
+    """
+    try:
+        file = os.open(address, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except PermissionError as err:
+        group = Path(address).group() if os.path.exists(address) else "dialout"
+        raise DeviceFault(
+            f"You may not use the {what} at {address}: {err.strerror}. Join the port's group and log in again: "
+            f"sudo usermod -aG {group} $USER."
+        ) from err
+    except OSError as err:
+        raise DeviceFault(
+            f"There is no {what} at {address}: {err.strerror}. Check the cable and the port: ls /dev/tty* "
+            "/dev/serial/by-id"
+        ) from err
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as err:
+        os.close(file)
+        raise DeviceFault(f"The {what} at {address} is in use by {_holder(address)}; end it first.") from err
+    return file
+
+
+def _holder(address: str) -> str:
+    """Return the process that has locked a port, if the system reveals it."""
+    wanted = str(os.stat(address).st_ino)
+    for line in Path("/proc/locks").read_text().splitlines():
+        words = line.split()
+        if words[1] == "FLOCK" and words[5].rpartition(":")[2] == wanted:
+            return program_of(words[4])
+    return "another program"

@@ -1,0 +1,253 @@
+"""The process that draws the cameras and tactile sensors of a virtual world and serves them over HTTP.
+
+It reads lines of JSON: first what to draw, then faults; it ends with its input. A client asks for
+`/NAME?resolution=640x480&fps=30` and gets JPEGs without end, each with the moment that it shows, on the sensor's own
+clock.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import select
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+
+from rcs.envs.assemble import compose
+from rcs.envs.parts import Parts
+from rcs.envs.setup import Setup
+from rcs.errors import RcsError
+from rcs.setups.make import resolve
+from rcs.sim.camera import SimCameras
+from rcs.sim.tactile import SimTactile
+from rcs.sim.world import World
+from rcs.virtual.sensors import LATENCY, SharedState, device_time, serial_of
+
+QUALITY = 95
+"""Quality of JPEGs, without subsampling of colours."""
+MOST_WAITING = 256
+"""Number of pictures that a stream keeps for later sending; older ones are dropped."""
+BOUNDARY = "picture"
+
+
+class Sensor:
+    """A camera or tactile sensor with its faults."""
+
+    def __init__(self, name: str, modes: Mapping[tuple[int, int], tuple[int, ...]]) -> None:
+        self.name = name
+        self.modes = modes
+        self.frozen_until = self.unplugged_until = 0.0
+        self.delay = self.drop = 0.0
+        self.is_black = self.is_torn = False
+        self.shows = name
+        self.plugs = 0
+        """Number of times that it was unplugged or exchanged, which ends all streams before."""
+
+    def tell(self, fault: str, value: Any) -> None:
+        """Apply a fault."""
+        now = time.monotonic()
+        if fault == "freeze":
+            self.frozen_until = now + value
+        elif fault == "unplug":
+            self.unplugged_until = now + value
+            self.plugs += 1
+        elif fault == "swap":
+            self.shows = value
+            self.plugs += 1
+        elif fault == "delay":
+            self.delay = 1e-3 * value
+        elif fault == "drop":
+            self.drop = value
+        elif fault == "black":
+            self.is_black = True
+        elif fault == "tear":
+            self.is_torn = True
+        else:
+            self.plugs += self.shows != self.name
+            self.frozen_until = self.unplugged_until = self.delay = self.drop = 0.0
+            self.is_black = self.is_torn = False
+            self.shows = self.name
+
+
+class Stream:
+    """What one client gets: a sensor's pictures of one size and rate."""
+
+    def __init__(self, sensor: Sensor, size: tuple[int, int], fps: float) -> None:
+        self.sensor, self.size, self.fps = sensor, size, fps
+        self.plugs = sensor.plugs
+        self.tick = int(time.monotonic() * fps)
+        self.waiting: deque[tuple[float, float, bytes]] = deque(maxlen=MOST_WAITING)
+        self.changed = threading.Condition()
+        self.is_ended = False
+
+    @property
+    def due(self) -> float:
+        """When the next picture is taken [s, monotonic]."""
+        return (self.tick + 1) / self.fps
+
+    def put(self, taken: float, jpeg: bytes) -> None:
+        """Have a picture sent when it is time, unless a fault prevents it."""
+        sensor = self.sensor
+        if random.random() < sensor.drop:
+            return
+        if sensor.is_torn:
+            jpeg = jpeg[: 2 * len(jpeg) // 3]
+        with self.changed:
+            self.waiting.append((taken + LATENCY + sensor.delay, device_time(sensor.shows, taken), jpeg))
+            self.changed.notify()
+
+    def next(self) -> tuple[float, bytes] | None:
+        """Wait for the next picture and for the time to send it; None when the stream ends."""
+        with self.changed:
+            while not self.is_ended and self.plugs == self.sensor.plugs:
+                wait = self.waiting[0][0] - time.monotonic() if self.waiting else 0.1
+                if self.waiting and wait <= 0:
+                    return self.waiting.popleft()[1:]
+                self.changed.wait(min(wait, 0.1))
+        return None
+
+
+class Eyes:
+    """Draws the streams that clients ask for."""
+
+    def __init__(self, parts: Parts, shared: SharedState) -> None:
+        """Compose the scene."""
+        self.world = World(compose(parts).compile(), frequency=100)
+        self.streams: list[Stream] = []
+        self.parts, self._shared = parts, shared
+        self._cameras: dict[tuple[int, int], SimCameras] = {}
+        self._skins = {skin.name: SimTactile(self.world, skin) for skin in parts.tactile}
+        self.sensors: dict[str, Sensor] = {}
+        for camera in parts.cameras:
+            modes = {(mode.width, mode.height): mode.rates for mode in camera.camera.modes}
+            self.sensors[camera.name] = Sensor(camera.name, modes)
+        for skin in parts.tactile:
+            self.sensors[skin.name] = Sensor(skin.name, {skin.sensor.frame_size: (skin.sensor.rate,)})
+
+    def draw(self) -> None:
+        """Draw what is due, or wait a little."""
+        now = time.monotonic()
+        self.streams = [one for one in self.streams if not one.is_ended]
+        due = [one for one in self.streams if one.due <= now]
+        if not due:
+            nearest = min((one.due for one in self.streams), default=now + 0.02)
+            time.sleep(min(max(nearest - now, 0.0), 0.02))
+            return
+        state, taken = self._shared.read()
+        self.world.core.set_state(state)
+        self.world.refresh()
+        drawn: dict[tuple[str, tuple[int, int]], bytes] = {}
+        for stream in due:
+            stream.tick = int(now * stream.fps)
+            if now < stream.sensor.frozen_until:
+                continue
+            key = (stream.sensor.shows, stream.size)
+            if key not in drawn:
+                drawn[key] = simplejpeg.encode_jpeg(self._pixels(*key), QUALITY, "RGB", "444")
+            jpeg = drawn[key]
+            if stream.sensor.is_black:
+                width, height = stream.size
+                jpeg = simplejpeg.encode_jpeg(np.zeros((height, width, 3), np.uint8), QUALITY, "RGB", "444")
+            stream.put(taken, jpeg)
+
+    def _pixels(self, name: str, size: tuple[int, int]) -> NDArray[np.uint8]:
+        if name in self._skins:
+            return np.ascontiguousarray(self._skins[name].read()["rgb"])
+        if size not in self._cameras:
+            self._cameras[size] = SimCameras(self.world, list(self.parts.cameras), size=size)
+        return np.ascontiguousarray(self._cameras[size].read([name])[name]["rgb"])
+
+
+def serve(eyes: Eyes) -> ThreadingHTTPServer:
+    """Return a server of streams at a free port, which runs in threads."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            parts = urlsplit(self.path)
+            sensor = eyes.sensors.get(parts.path.strip("/"))
+            if sensor is None:
+                self.refuse(404, f"there is no such camera; there are {', '.join(eyes.sensors)}")
+                return
+            if time.monotonic() < sensor.unplugged_until:
+                return
+            query = parse_qs(parts.query)
+            try:
+                width, _, height = query["resolution"][0].partition("x")
+                size, fps = (int(width), int(height)), float(query["fps"][0])
+            except (KeyError, ValueError):
+                size, rates = next(iter(sensor.modes.items()))
+                fps = float(rates[-1])
+            if fps not in sensor.modes.get(size, ()):
+                each = "; ".join(f"{w}x{h} at {rates}" for (w, h), rates in sensor.modes.items())
+                self.refuse(400, f"it has {each}")
+                return
+            self.send(Stream(sensor, size, fps))
+
+        def refuse(self, code: int, reason: str) -> None:
+            self.send_response(code)
+            self.send_header("X-Reason", reason)
+            self.end_headers()
+
+        def send(self, stream: Stream) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
+            self.send_header("X-Serial-Number", serial_of(stream.sensor.shows))
+            self.end_headers()
+            eyes.streams.append(stream)
+            try:
+                while (picture := stream.next()) is not None:
+                    at, jpeg = picture
+                    head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\nX-Timestamp: {at:.6f}\r\n\r\n"
+                    self.wfile.write(f"\r\n--{BOUNDARY}\r\n{head}".encode() + jpeg)
+            except OSError:  # the client is gone
+                pass
+            finally:
+                stream.is_ended = True
+
+        def log_message(self, format: str, *args: Any) -> None:  # noqa: A002  the name that the server passes
+            """Say nothing: the output is the answers'."""
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, name="camera server", daemon=True).start()
+    return server
+
+
+def main(read: Callable[[], str], say: Callable[[Mapping[str, Any]], None]) -> None:
+    """Serve until the input ends."""
+    about = json.loads(read())
+    try:
+        setup = Setup.from_json(about["setup"])
+        eyes = Eyes(resolve(setup), SharedState(about["size"], about["file"]))
+        assert eyes.world.core.state_size == about["size"], "both worlds have the same scene"
+    except RcsError as err:
+        say({"error": str(err)})
+        return
+    server = serve(eyes)
+    tactile = {skin.name: skin.sensor.name for skin in eyes.parts.tactile}
+    say({"port": server.server_port, "cameras": [one.name for one in eyes.parts.cameras], "tactile": tactile})
+    while True:
+        if select.select([sys.stdin], [], [], 0)[0]:
+            line = read()
+            if not line:
+                return
+            told = json.loads(line)
+            eyes.sensors[told["sensor"]].tell(told["fault"], told["value"])
+            say({"done": True})
+        eyes.draw()
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal; the end of the input ends it
+    main(sys.stdin.readline, lambda words: print(json.dumps(words), flush=True))  # noqa: T201

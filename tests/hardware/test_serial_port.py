@@ -1,0 +1,58 @@
+"""Serial ports: what is said where one cannot be used."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+from collections.abc import Generator
+from pathlib import Path
+
+import pytest
+
+from rcs.errors import DeviceFault
+from rcs.hardware.serial_port import claim
+
+
+@pytest.fixture
+def port() -> Generator[str]:
+    ends = pty.openpty()
+    yield os.ttyname(ends[1])
+    for end in ends:
+        os.close(end)
+
+
+def test_a_port_is_locked_until_its_file_is_closed(port: str) -> None:
+    file = claim(port, "servo bus")
+    with pytest.raises(DeviceFault, match=rf"The servo bus at {port} is in use by process {os.getpid()} \(.*; end it"):
+        claim(port, "servo bus")
+    os.close(file)
+    os.close(claim(port, "servo bus"))
+
+
+def test_the_program_that_has_a_port_is_named(port: str) -> None:
+    code = "import sys; from rcs.hardware.serial_port import claim; claim(sys.argv[1], 'hand'); print(); input()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, port], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        with pytest.raises(DeviceFault, match=rf"in use by process {other.pid} \(.*serial_port"):
+            claim(port, "hand")
+        other.communicate("\n")
+
+
+def test_a_port_that_is_not_there_is_told_with_where_to_look(tmp_path: Path) -> None:
+    with pytest.raises(DeviceFault, match=r"There is no hand at .*ttyUSB9: No such file.* ls /dev/tty"):
+        claim(str(tmp_path / "ttyUSB9"), "hand")
+
+
+def test_a_port_that_may_not_be_used_is_told_with_its_group(port: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    group = Path(port).group()
+    monkeypatch.setattr("os.open", refuse)
+    with pytest.raises(DeviceFault, match=rf"You may not use the hand at .*usermod -aG {group} \$USER"):
+        claim(port, "hand")
