@@ -12,10 +12,12 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import rcs_data
+import vlagents
 from rcs_data.lazy import LazyPackage
-from rcs_data.record import accepted
+from rcs_data.options import accepted
 
 import rcs
 from rcs.envs.setup import Setup
@@ -30,7 +32,7 @@ PACKAGES = [
     )
 ]
 LAZY = [name for name in PACKAGES if isinstance(importlib.import_module(name), LazyPackage)]
-MODULES = ["rcs.errors", "rcs_data.errors", "rcs_data.torch"]  # errors are no package; torch is an extra
+MODULES = ["rcs.errors", "rcs_data.errors", "rcs_data.read.torch"]  # errors are no package; torch is an extra
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
@@ -64,6 +66,42 @@ def test_documents_and_examples_import_public_names_only(where: str, program: st
         assert module in PACKAGES + MODULES, f"{where} imports {module}, which is no package"
         if name is not None:
             assert name in public(module), f"{where} imports {name} from {module}, which has {public(module)}"
+
+
+CHANGING = {
+    "Caller", "FrameLog", "Guest", "Judgement", "LoopStatistics", "Memory", "Planner", "Program", "Progress",
+    "Reference", "Registers", "Scene", "Servo", "Session", "SpeedJoints", "SpeedTcp", "Step", "Stop", "Summary",
+}  # fmt: skip
+"""Dataclasses that change after they were made; all others but the programs of the command line are frozen."""
+POSITIONAL = {
+    "Bend", "Call", "Finding", "Metadata", "Observation", "Part", "Phase", "RobotFit", "Samples", "Sightings",
+}  # fmt: skip
+"""Dataclasses of five fields or more that are not given by name alone: of a wire, or in the order of a formula."""
+
+
+def dataclasses_of(path: Path) -> Iterator[tuple[str, int, dict[str, object]]]:
+    """Give each public dataclass of a source file: its name, its number of fields and its options."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        for mark in getattr(node, "decorator_list", []):
+            if (
+                isinstance(node, ast.ClassDef)
+                and node.name[0] != "_"
+                and re.match(r"(dataclasses\.)?dataclass\b(?!_)", ast.unparse(mark))
+            ):
+                options = {one.arg: ast.literal_eval(one.value) for one in getattr(mark, "keywords", [])}
+                yield node.name, sum(isinstance(line, ast.AnnAssign) for line in node.body), options
+
+
+def test_records_are_frozen_and_take_their_fields_by_name() -> None:
+    changing: set[str] = set()
+    for path in [*(ROOT / "src").rglob("*.py"), *(ROOT / "packages").glob("*/src/**/*.py")]:
+        for name, fields, options in dataclasses_of(path):
+            is_program = "cli" in path.parts and not options.get("frozen")
+            if not options.get("frozen") and not is_program:
+                changing.add(name)
+            if (is_program or fields > 4) and name not in CHANGING | POSITIONAL:
+                assert options.get("kw_only"), f"{name} of {path}: kw_only"
+    assert changing == CHANGING, "freeze it, or add it there"
 
 
 def test_examples_reach_below_no_public_name() -> None:
@@ -119,3 +157,57 @@ def test_the_signature_of_make_shows_every_option_with_its_default_and_type(make
 def test_a_mistyped_option_gets_the_nearest_one() -> None:
     with pytest.raises(rcs.errors.InvalidSetup, match=r"no option of Setup named 'contrl'. Did you mean 'control'"):
         rcs.make(contrl="joints")  # pyright: ignore[reportCallIssue]
+
+
+@pytest.mark.parametrize(
+    ("tried", "words"),
+    [
+        ("rcs.list()", "`rcs list`"),
+        ("rcs.data", r"rcs\.Dataset"),
+        ("rcs.Recorder", r"rcs\.record\(env"),
+        ("rcs.calibrate", "Did you mean 'calibration'"),
+        ("rcs.planning.plan", r"Planner\("),
+        ("rcs.agents.expert_for", r"agent_for\(env\)"),
+        ("rcs_data.open('x')", r"Dataset\(path\)"),
+        ("rcs_data.load", r"Dataset\(path\)"),
+        ("rcs_data.Dataset('x')", "There is no dataset in .*/x"),
+        ("rcs_data.export", r"rcs_data\.convert"),
+        ("vlagents.serve", r"Server\(policy\)"),
+        ("rcs.make('pick_cuboid')", "Did you mean 'PickCuboid'"),
+        ("rcs.make('PickCuboid', max_steps=100)", "Use max_episode_steps"),
+        ("rcs.make('PickCuboid', lift_height=0.05)", r"task_options=\{'lift_height': 0\.05\}"),
+        ("rcs.make('Free', hardware='192.168.0.1')", "'franka:192"),
+        ("rcs.make('Free', hardware=True)", "'driver:address'"),
+        ("env.model", r"env\.simulation\.world\.model"),
+        ("env.scenario", r"env\.simulation"),
+        ("env.task", r"env\.simulation\.task"),
+        ("env.world", r"env\.simulation\.world"),
+        ("env.robot", r"env\.setup\.robot"),
+        ("env.expert()", r"rcs\.agents\.agent_for\(env\)"),
+        ("env.observation", r"env\.reset and env\.step"),
+        ("env.step(np.zeros(8))", r"rcs\.rl\.FlatEnv"),
+        ("env.step({'joints': np.zeros(7)})", r"missing \['gripper'\]"),
+    ],
+)
+def test_a_word_that_is_tried_gets_the_one_that_is_used_here(env: rcs.Env, tried: str, words: str) -> None:
+    with pytest.raises((AttributeError, rcs.errors.RcsError, rcs_data.errors.InvalidSetup), match=words):
+        eval(tried, {"rcs": rcs, "rcs_data": rcs_data, "vlagents": vlagents, "np": np, "env": env})
+
+
+def test_forms_that_are_tried_first_work(env: rcs.Env) -> None:
+    assert env.reset(42)[0].keys() == env.reset(seed=42)[0].keys()
+    env.step({"joints": [0.0] * 7, "gripper": 1.0})
+    for cameras in (True, "wrist", ["wrist"]):
+        rcs.make("PickCuboid", cameras=cameras).close()
+    rcs.make_vec("PickCuboid", 2).close()
+    assert rcs.kinematics.kinematics_of("fr3").forward(np.array(rcs.robots.FR3.home)).translation[2] > 0.4
+    for module in (rcs.calibration, rcs.policy):
+        assert inspect.ismodule(module)
+    assert len({rcs.Env, rcs.VecEnv, rcs.Dataset, vlagents.Client, vlagents.Server, vlagents.connect}) == 6
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[rcs.Env]:
+    with rcs.make("PickCuboid") as env:
+        env.reset(seed=0)
+        yield env

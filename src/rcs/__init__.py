@@ -8,5 +8,11 @@ from rcs_data.lazy import load_on_use
 
 from rcs.setups.ids import register
 
-load_on_use(__name__)
+load_on_use(
+    __name__,
+    data="rcs.Dataset, or the package rcs_data",
+    list="the command `rcs list`, or rcs.setups.tasks_of(robot)",
+    make_env="rcs.make",
+    Recorder="rcs.record(env, path)",
+)
 register()

@@ -26,7 +26,7 @@ from rcs.envs.observers.twin import attach_twin as attach_twin
 from rcs.envs.setup import Setup as Setup
 from rcs.envs.vector import VecEnv as VecEnv
 from rcs.hardware.site import Site as Site
-from rcs.robots.camera_mount import CameraMount as CameraMount
+from rcs.robots.camera import CameraMount as CameraMount
 from rcs.robots.compliance import Compliance as Compliance
 from rcs.rollout.episode import run_episode as run_episode
 from rcs.rollout.evaluate import evaluate as evaluate

@@ -986,7 +986,7 @@ class IkResult:
 
 class Kinematics:
     """
-    Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, `_joint_lower`, `_joint_upper`, `_forward(joints)` and `_inverse(target, start, options)`, and where they have a better one than finite differences `_jacobian(joints)`.
+    Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, `_joint_lower`, `_joint_upper` and `_forward(joints)`; where they have a better one than finite differences, `_jacobian(joints)`, and than damped least squares, `_inverse(target, start, options)`.
     """
 
     def __init__(self) -> None: ...
@@ -1842,7 +1842,7 @@ class Renderer:
     Calls may come from any thread; they wait for each other and run without the GIL.
     """
 
-    def __init__(self, model: mujoco.MjModel, *, quality: str = 'fast', max_width: int = 640, max_height: int = 480, backend: str = 'auto', geom_groups: Sequence[bool] = [True, True, True, False, False, False]) -> None:
+    def __init__(self, model: mujoco.MjModel, *, quality: str = 'fast', max_width: int = 640, max_height: int = 480, backend: str = 'auto', geom_groups: Sequence[bool] = [True, True, True, False, False, False], is_rasterised: bool = False) -> None:
         """
         Make the OpenGL objects of a model, which is not changed.
 
@@ -1853,6 +1853,8 @@ class Renderer:
             max_height: Largest height of a picture [pixels].
             backend: "auto" (EGL, else OSMesa), "egl" or "osmesa"; one per process.
             geom_groups: Which of the six groups of geoms are drawn; 3 to 5 are collision shapes by custom.
+            is_rasterised: Draw colours without OpenGL in quality "fast", where OpenGL has no graphics card and the scene has neither
+                textures, soft bodies nor height fields; depth and ids are drawn with it. Colours look the same but for rounding.
 
         Raises:
             ValueError: An argument is not valid.
@@ -1912,7 +1914,7 @@ class RenderPool:
     The pictures are those of a single `Renderer`, bit for bit. Calls run without the GIL and wait for each other.
     """
 
-    def __init__(self, model: mujoco.MjModel, threads: int, *, quality: str = 'fast', max_width: int = 640, max_height: int = 480, backend: str = 'auto', geom_groups: Sequence[bool] = [True, True, True, False, False, False]) -> None:
+    def __init__(self, model: mujoco.MjModel, threads: int, *, quality: str = 'fast', max_width: int = 640, max_height: int = 480, backend: str = 'auto', geom_groups: Sequence[bool] = [True, True, True, False, False, False], is_rasterised: bool = False) -> None:
         """
         Make one renderer for each thread.
 
@@ -1924,6 +1926,7 @@ class RenderPool:
             max_height: Largest height of a picture [pixels].
             backend: "auto", "egl" or "osmesa".
             geom_groups: Which of the six groups of geoms are drawn.
+            is_rasterised: Whether colours are drawn without OpenGL.
 
         Raises:
             ValueError: An argument is not valid.

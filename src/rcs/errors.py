@@ -52,4 +52,4 @@ class CorruptCheckpoint(RcsError, ValueError):
 
 
 class SimulationError(RcsError, RuntimeError):
-    """MuJoCo failed, or left out contacts; the message has its words, such as that its memory is full."""
+    """MuJoCo failed, or left out contacts, in its own words; or a simulator of another project did, or was late."""

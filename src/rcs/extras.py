@@ -8,7 +8,7 @@ from typing import Any
 from rcs.errors import MissingDependency
 
 
-def package_of(extra: str, name: str, purpose: str) -> Any:
+def package_of(extra: str, name: str, purpose: str = "This needs") -> Any:
     """Import and return a package of an extra, or a module of it.
 
     Args:

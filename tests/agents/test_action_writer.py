@@ -15,8 +15,8 @@ from rcs.envs.step.chain import Chain
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.stack import Stack
 from rcs.kinematics import kinematics_of
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 from rcs.spatial import distance
 
 

@@ -95,3 +95,8 @@ def test_a_board_takes_the_smallest_sheet_and_one_that_fits_on_none_is_refused()
     assert sheet_of(Board(rows=3))[0] == "A3"
     with pytest.raises(InvalidSetup, match="no sheet"):
         sheet_of(Board(tag_size=1.0, gap=0.3))
+
+
+def test_a_sheet_of_paper_has_as_many_points_as_in_every_pdf() -> None:
+    width, height = sheet_of(Board(rows=2, columns=2, tag_size=0.03, gap=0.01))[1]
+    assert (round(width * POINTS), round(height * POINTS)) == (595, 842)  # A4

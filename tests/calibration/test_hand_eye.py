@@ -15,7 +15,7 @@ from rcs.calibration.closed_form import camera_in_mount, rigid
 from rcs.calibration.fit import GIVEN, Guess, Sightings, jacobian, residuals
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 from rcs.spatial import Intrinsics, Pose
 
 pytestmark = pytest.mark.extras

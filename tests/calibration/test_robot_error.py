@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from rcs.calibration import Arrangement
-from rcs.calibration.fit import Guess, Sightings, flange_jacobian, moved_by, residuals
-from rcs.calibration.robot_error import fit_with_robot
+from rcs.calibration.fit import Guess, Sightings, fit_with_robot, flange_jacobian, moved_by, residuals
 from rcs.spatial import Intrinsics, Pose
 
 pytestmark = pytest.mark.extras

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from rcs.calibration import BoardStrategy, Rig
 from rcs.calibration.fit import Guess, Sightings
 from rcs.calibration.motion import motions
-from rcs.calibration.suggestion import FROM_LIMITS, is_in_view, suggest
+from rcs.calibration.strategy import FROM_LIMITS, is_in_view, suggest
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 from rcs.spatial import Intrinsics, Pose
 
 pytestmark = pytest.mark.extras

@@ -36,11 +36,11 @@ def test_a_camera_is_found_and_checked_and_a_camera_that_moved_is_noticed(
     assert run("hand-eye", *options, "--out", str(file)) == 0
     assert "standard deviation" in capsys.readouterr().out
     content = json.loads(file.read_text())
-    np.testing.assert_allclose(content["cameras"]["side"]["translation"], [0.74, 1.15, 0.78], atol=3e-4)
+    np.testing.assert_allclose(content["cameras"]["side"]["optical"]["translation"], [0.74, 1.15, 0.78], atol=3e-4)
     assert content["boards"]["side"]["on_gripper_of"] == "fr3"
     check = ["check", "--camera", "side", "--views", "3", "--calibration", str(file)]
     assert run(*check) == 0
-    content["cameras"]["side"]["translation"][0] += 0.01
+    content["cameras"]["side"]["optical"]["translation"][0] += 0.01
     file.write_text(json.dumps(content))
     assert run(*check) == 1
     assert "ALARM" in capsys.readouterr().out
@@ -50,10 +50,11 @@ def test_a_camera_is_found_and_checked_and_a_camera_that_moved_is_noticed(
 def test_intrinsics_come_from_the_robots_own_pictures_and_the_cameras_place_stays(tmp_path: Path) -> None:
     file = tmp_path / "lab.json"
     place = {"translation": [0.1, 0.2, 0.3], "quaternion": [0.0, 0.0, 0.0, 1.0]}
-    file.write_text(json.dumps({"cameras": {"wrist": place}}))
+    file.write_text(json.dumps({"cameras": {"wrist": {"optical": place}}}))
     assert run("intrinsics", "--camera", "wrist", "--out", str(file)) == 0
     about = json.loads(file.read_text())["cameras"]["wrist"]
-    assert about["fx"] == pytest.approx(433.0, rel=5e-3) and about["translation"] == place["translation"]
+    assert about["intrinsics"]["fx"] == pytest.approx(433.0, rel=5e-3)
+    assert about["optical"]["translation"] == place["translation"]
 
 
 def test_pictures_of_two_sizes_and_none_at_all_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

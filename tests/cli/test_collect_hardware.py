@@ -87,8 +87,7 @@ def test_a_person_at_the_terminal_makes_a_dataset_with_the_cameras_of_the_site(
         ((), None, "The input is no terminal"),
         ((), "n\n", "nobody agreed"),
         (("--workers", "2"), "y\n", "one process of this machine; workers is 2"),
-        (("--ray",), "y\n", "ray is 'local'"),
-        (("--viewer",), "y\n", "use --viewer without --hardware"),
+        (("--ray", "auto"), "y\n", "ray is 'auto'"),
         (("--home-speed", "2"), "y\n", "'speed' is 2"),
     ],
 )

@@ -2,19 +2,35 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from rcs_data.ledger import Ledger
 
+from rcs.agents import Agent
 from rcs.cli.main import main
 
 RCS = [sys.executable, "-c", "from rcs.cli.main import main; main()"]
+
+
+class Stay(Agent):
+    """Keeps every joint where it is."""
+
+    def __init__(self, env: Any) -> None:
+        self._action = {name: np.zeros(space.shape, space.dtype) for name, space in env.action_space.items()}
+
+    def reset(self, observation: Any, info: Any) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Any, info: Any) -> Any:
+        return self._action
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
@@ -30,8 +46,12 @@ def test_it_tells_the_rate_and_leaves_figures_and_videos(capsys: pytest.CaptureF
     code, told = call(capsys, "PickCuboid", *options)
     assert code == 0
     assert "3 of 3 = 100.0 % (95 % Wilson interval" in told
-    assert sorted(path.name for path in (tmp_path / "e").iterdir()) == ["000000.mp4", "evaluation.json"]
-    assert json.loads((tmp_path / "e" / "evaluation.json").read_text())["success_rate"] == 1.0
+    ledger = Ledger(tmp_path / "e")
+    rows = list(ledger.rows.values())
+    assert [(row.agent, row.success) for row in rows] == [("PickExpert", True)] * 3
+    assert [ledger.film(row).is_file() for row in rows] == [True, False, False]
+    assert "report.html" in told
+    assert rows[0].key in (tmp_path / "e" / "report.html").read_text()
 
 
 def test_options_of_the_task_and_layers_are_part_of_the_setup(
@@ -43,27 +63,50 @@ def test_options_of_the_task_and_layers_are_part_of_the_setup(
         capsys, "PickCuboid", *options, *layers, "--episodes", "1", "--workers", "1", "--out", str(tmp_path)
     )
     assert code == 0, told
-    setup = json.loads((tmp_path / "evaluation.json").read_text())["setup"]
+    ((_, condition),) = Ledger(tmp_path).conditions.items()
+    setup = condition.setup
     assert setup["task_options"] == {"lift_height": 0.05, "hold_time": 0.5}
     assert (setup["reward"], setup["discount"]) == ("sparse", 0.99)
     assert setup["layers"] == ["rcs.envs.layers:BinaryGripper"]
     assert (setup["frequency"], setup["relative"]) == (20.0, "absolute")
 
 
-def test_no_evaluation_is_mixed_with_another(
+def test_nothing_runs_twice_and_nothing_is_overwritten(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for folder in ("evaluation", "evaluation-2", "evaluation-3"):
-        code, told = call(capsys, "PickCuboid", "--episodes", "1", "--workers", "1")
-        assert code == 0
-        assert f"{folder}/evaluation.json" in told
-    before = (tmp_path / "evaluation" / "evaluation.json").read_bytes()
-    code, told = call(capsys, "PickCuboid", "--episodes", "2", "--workers", "1", "--out", "evaluation")
-    assert code == 1
-    assert "evaluation is not empty" in told
-    assert "another --out" in told
-    assert (tmp_path / "evaluation" / "evaluation.json").read_bytes() == before
+    short = ("PickCuboid", "--workers", "1", "--max-episode-steps", "3")
+    path = tmp_path / "evaluation" / "ledger.jsonl"
+    kept = b""
+    for more, rows, found in [
+        (("--episodes", "2"), 2, None),
+        (("--episodes", "3"), 3, "2 of 3 episodes were in the ledger"),
+        (("--episodes", "3"), 3, "none was run"),
+        (("--episodes", "3", "--seed", "1"), 6, None),
+        (("--episodes", "3", "--physics-step", "0.001"), 9, None),
+        (("--episodes", "3", "--repeat", "1"), 12, "3 of 6 episodes were in the ledger"),
+        (("--episodes", "3", "--repeat", "1"), 12, "none was run"),
+        (("--episodes", "1", "--agent", "rcs.agents:PickExpert", "--name", "mine"), 13, None),
+    ]:
+        code, told = call(capsys, *short, *more)
+        assert code == 0, told
+        assert (found or "success") in told
+        assert ("were in the ledger" in told) == (found is not None)
+        assert len(Ledger(tmp_path / "evaluation").rows) == rows, more
+        assert path.read_bytes().startswith(kept)
+        kept = path.read_bytes()
+
+
+def test_two_agents_are_compared_and_decided_between(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    short = ("--workers", "1", "--out", str(tmp_path), "--max-episode-steps", "200")
+    code, told = call(capsys, "PickCuboid", *short, "--episodes", "8")
+    assert code == 0, told
+    agent = ("--agent", f"{__name__}:Stay", "--name", "idle", "--episodes", "50")
+    expert = "PickExpert"
+    code, told = call(capsys, "PickCuboid", *short, *agent, "--until", "0.05", "--against", expert)
+    assert code == 0, told
+    assert "is better than idle on 7 shared seeds" in told.replace("\n", " ")
+    assert len(Ledger(tmp_path).of(Ledger(tmp_path).find("idle"))) == 7
 
 
 @pytest.mark.parametrize(
@@ -77,6 +120,8 @@ def test_no_evaluation_is_mixed_with_another(
         (["PickCuboid", "--reward", "dense", "--discount", "1"], ["discount is 1"]),
         (["PickCuboid", "--videos", "-1"], ["videos is -1"]),
         (["PickCuboid", "--workers", "-1"], ["workers is -1"]),
+        (["PickCuboid", "--until", "0.05"], ["until, against and out belong together"]),
+        (["PickCuboid", "--until", "0.05", "--against", "idle"], ["no ledger", "nothing to decide against"]),
         (["Free"], ["no scripted expert"]),
     ],
 )
@@ -91,22 +136,21 @@ def test_bad_arguments_get_a_clear_error_and_leave_nothing(
     assert not (tmp_path / "e").exists()
 
 
-@pytest.mark.gl
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_ctrl_c_ends_after_the_episodes_at_work_and_keeps_the_figures(tmp_path: Path, workers: str) -> None:
-    options = ["PickCuboid", "--episodes", "500", "--videos", "2", "--workers", workers, "--out", str(tmp_path)]
+    options = ["PickCuboid", "--episodes", "500", "--workers", workers, "--out", str(tmp_path)]
     process = subprocess.Popen(
         [*RCS, "eval", *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
     )
     end = time.monotonic() + 60.0
-    while not (tmp_path / "000001.mp4").exists() and process.poll() is None and time.monotonic() < end:
+    path = tmp_path / "ledger.jsonl"
+    while not (path.exists() and path.stat().st_size > 1000) and process.poll() is None and time.monotonic() < end:
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
     told, _ = process.communicate(timeout=60)
     assert process.returncode == 130, told
     assert "Ending after the episodes at work" in told
     assert "Traceback" not in told
-    figures = json.loads((tmp_path / "evaluation.json").read_text())
-    assert 1 <= figures["episodes"] < 500
-    assert figures["judged"] == len(figures["results"])
+    assert 1 <= len(Ledger(tmp_path).rows) < 500
+    assert (tmp_path / "report.html").is_file()

@@ -19,7 +19,7 @@ def help_of(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return " ".join(" ".join(lines).split())
 
 
-COMMANDS = ("collect", "train", "eval", "run", "sim", "plan", "ik", "twin", "gallery", "data export", "data import",
+COMMANDS = ("collect", "train", "eval", "run", "sim", "data export", "data import",
             "data mix", "data split", "data recover", "calibrate hand-eye")  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from rcs.cli.main import main
 from rcs.devices.fakes import FakeArm
 from rcs.hardware import FakeDriver, Site
 from rcs.robots.description import ArmDescription
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 
 HOME = np.array(FR3.home)
 made: list[FakeArm] = []

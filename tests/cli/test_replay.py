@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from rcs_data import Dataset
 
 from rcs.cli.main import main
+from rcs.cli.replay import summary
+from rcs.rollout.reexecute import ReexecutionResult
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
@@ -16,15 +19,6 @@ def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]
         main(["data", "replay", *arguments])
     captured = capsys.readouterr()
     return int(stopped.value.code or 0), captured.out + captured.err
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("replay") / "dataset"
-    with pytest.raises(SystemExit) as stopped:
-        main(["collect", "PickCuboid", "--episodes", "2", "--cameras", "none", "--workers", "1", "--out", str(out)])
-    assert stopped.value.code == 0
-    return out
 
 
 @pytest.mark.gl
@@ -51,9 +45,7 @@ def test_actions_prints_deviations(capsys: pytest.CaptureFixture[str], dataset: 
 def test_states_counts_what_succeeds_in_simulation(
     capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path
 ) -> None:
-    code, told = call(
-        capsys, str(dataset), "--kind", "states", "--out", str(tmp_path / "new"), "--workers", "1", "--keep", "all"
-    )
+    code, told = call(capsys, str(dataset), "--kind", "states", "--out", str(tmp_path / "new"), "--workers", "1")
     assert code == 0
     assert "2 of 2 succeed in simulation" in told
     assert len(Dataset.open(tmp_path / "new")) == 2
@@ -82,7 +74,6 @@ def test_json_is_json_and_nothing_else(
         (["--kind", "actions", "--out", "x", "--task", "Push"], "--task has no meaning for --kind actions"),
         (["--kind", "render", "--out", "x", "--cameras", "wirst"], "Did you mean 'wrist'"),
         (["--kind", "states", "--out", "x", "--task", "PickCubiod"], "Did you mean 'PickCuboid'"),
-        (["--kind", "states", "--out", "x", "--objects", "nowhere.json"], "nowhere.json"),
     ],
 )
 def test_what_makes_no_sense_is_refused_and_leaves_nothing(
@@ -99,3 +90,12 @@ def test_what_makes_no_sense_is_refused_and_leaves_nothing(
     assert words in told.replace("\n", " ")
     assert "Traceback" not in told
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_summary_counts_successes_and_episodes_that_could_not_be_replayed() -> None:
+    made = ReexecutionResult(episode_id="a", recorded_success=True, success=True)
+    failed = replace(made, recorded_success=False, success=False)
+    assert summary([made, failed]) == "1 of 2 succeed in simulation; of 1 recorded successes 1"
+    lost = replace(failed, problem="no poses")
+    assert summary([made, made, lost]).endswith("; of 2 recorded successes 2; 1 could not be replayed")
+    assert summary([made]) == "1 of 1 succeed in simulation"

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import importlib.util
-import json
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 from rcs_data import Dataset
-from vlagents import Observation, Server
+from rcs_data.ledger import Ledger
+from vlagents import Metadata, Observation, PartSpec, Server
 from vlagents.policies.scripted import ScriptedPolicy
 
 from rcs.cli.main import main
-from rcs.rollout import UNSEEN
 from rcs.rollout.collect import seed_of
+from rcs.rollout.evaluation import UNSEEN
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "16_policy.py"
 
@@ -54,24 +56,38 @@ def test_a_served_policy_is_run_recorded_and_reported(
     address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, data = tmp_path / "out", tmp_path / "data"
-    command = ["run", "--policy", address, "--episodes", "2", "--seed", "3", "--latency", "0.1", "--execution", "rtc"]
+    command = ["run", "--policy", address, "--episodes", "2", "--seed", "3", "--latency", "0.1", "--mode", "rtc"]
     assert rcs(*command, "--out", str(out), "--record", str(data)) == 0
-    figures = json.loads((out / "evaluation.json").read_text())
-    assert figures["agent"] == address
-    assert figures["execution"]["mode"] == "rtc"
-    assert figures["policy"]["name"] == "scripted pick"
-    assert [each["seed"] for each in figures["results"]] == [UNSEEN + seed_of(3, number) for number in range(2)]
+    ledger = Ledger(out)
+    (condition,) = ledger.conditions.values()
+    assert (condition.agent, condition.weights, condition.execution["mode"]) == ("scripted pick", None, "rtc")
+    assert ledger.place(condition.hash) == address
+    rows = list(ledger.rows.values())
+    assert [row.seed for row in rows] == [UNSEEN + seed_of(3, number) for number in range(2)]
+    assert [(row.latency_p50, row.latency_p99) for row in rows] == [(0.1, 0.1)] * 2
     page = (out / "report.html").read_text()
     assert "scripted pick" in page
     assert "Wilson" in page
     episodes = Dataset.open(data).episodes
-    assert [episode.success for episode in episodes] == [each["success"] for each in figures["results"]]
+    assert [episode.id for episode in episodes] == [f"{number:06d}-{row.key}" for number, row in enumerate(rows)]
+    assert {episode.seed: episode.success for episode in episodes} == {row.seed: row.success for row in rows}
     assert episodes[0].column("notes/policy_latency")[-1] == 0.1
     assert (data / "report.html").is_file()
-    assert "success" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "success" in told
+    assert "does not say which weights act" in told
     assert rcs(*command, "--out", str(tmp_path / "again")) == 0
-    again = json.loads((tmp_path / "again" / "evaluation.json").read_text())
-    assert again["results"] == figures["results"]
+    again = Ledger(tmp_path / "again").rows
+    assert {name: (row.success, row.steps, row.reward) for name, row in again.items()} == {
+        row.key: (row.success, row.steps, row.reward) for row in rows
+    }
+    before = (out / "ledger.jsonl").read_bytes()
+    assert rcs(*command, "--out", str(out), "--record", str(data)) == 0
+    assert (out / "ledger.jsonl").read_bytes() == before, "what is there is not run again"
+    assert len(Dataset.open(data)) == 2
+    assert rcs(*command, "--out", str(out), "--name", "other") == 0
+    assert [row.agent for row in Ledger(out).rows.values()] == ["scripted pick"] * 2 + ["other"] * 2
+    assert (out / "ledger.jsonl").read_bytes().startswith(before)
 
 
 def test_a_policy_that_is_gone_ends_the_run_with_figures_of_the_episodes_before(
@@ -96,9 +112,9 @@ def test_a_policy_that_is_gone_ends_the_run_with_figures_of_the_episodes_before(
     said = capsys.readouterr()
     assert "No server is at" in said.err
     assert "not begun" in said.err
-    (result,) = json.loads((out / "evaluation.json").read_text())["results"]
-    assert result["failure"] == "policy"
-    assert "no way to go" in result["message"]
+    (row,) = Ledger(out).rows.values()
+    assert row.failure == "policy"
+    assert "no way to go" in (row.message or "")
     assert "no way to go" in (out / "report.html").read_text()
     assert [episode.success for episode in Dataset.open(data).episodes] == [False]
 
@@ -108,7 +124,7 @@ def test_the_page_of_a_run_is_not_written_beside_another_evaluation(
 ) -> None:
     (tmp_path / "000000.mp4").write_bytes(b"a film of another agent")
     assert rcs("run", "--policy", address, "--episodes", "1", "--out", str(tmp_path)) == 1
-    assert "another --out" in capsys.readouterr().err
+    assert "Choose another folder" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["000000.mp4"]
 
 
@@ -123,3 +139,51 @@ def test_eval_takes_an_address_for_an_agent(address: str, tmp_path: Path, capsys
 def test_what_is_no_address_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert rcs("run", "--policy", "somewhere") == 1
     assert "valid is an address" in capsys.readouterr().err
+
+
+def test_a_policy_is_run_in_the_simulator_of_another_project(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = Path(__file__).parents[2] / "packages" / "vlagents" / "tests" / "simulators"
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+    arm, grip = PartSpec("xyzrpy", 6, "m, rad", "delta"), PartSpec("gripper", 1, "0 closed, 1 open")
+    metadata = Metadata(name="still", action=(arm, grip), rate=20.0)
+    with Server(ScriptedPolicy(lambda *_: np.zeros(7), metadata), port=0) as server:
+        command = [
+            "run",
+            "--policy",
+            str(server.address),
+            "--episodes",
+            "2",
+            "--simulator",
+            "tiny_simulator:Reach:near",
+        ]
+        command += ["--simulator-python", sys.executable]
+        out = tmp_path / "out"
+        assert rcs(*command, "--out", str(out), "--videos", "1", "--simulator-options", "fault=none") == 0
+        ledger = Ledger(out)
+        (condition,) = ledger.conditions.values()
+        assert (condition.agent, condition.task, condition.robot) == ("still", "tiny:near", "tiny")
+        assert condition.setup["task_options"]["mapping"]["wait"] == 2
+        rows = list(ledger.rows.values())
+        assert [(row.success, row.failure, row.steps) for row in rows] == [(False, "timeout", 60)] * 2
+        assert ledger.film(rows[0]).is_file()
+        before = (out / "ledger.jsonl").read_bytes()
+        assert rcs(*command, "--out", str(out), "--simulator-options", "fault=none") == 0
+        assert (out / "ledger.jsonl").read_bytes() == before
+        assert rcs(*command, "--out", str(out), "--record", str(tmp_path / "data")) == 0
+        assert len(Ledger(out).rows) == 4, "options of the simulator are part of the key"
+        episodes = Dataset.open(tmp_path / "data").episodes
+        assert [(one.success, one.outcome["failure"]) for one in episodes] == [(False, "timeout")] * 2
+        assert [bool(flag) for flag in episodes[0].column("truncated")] == [False] * 60 + [True]
+        own = ["eval", "--agent", str(server.address), "--episodes", "2", *command[5:], "--out", str(out)]
+        assert rcs(*own, "--simulator-options", "fault=none") == 0
+        assert len(Ledger(out).rows) == 4, "`rcs eval` has the same key"
+        assert rcs(*own, "--robot", "so101") == 1
+        assert "robot cannot be combined with simulator" in capsys.readouterr().err
+        assert rcs("eval", *command[5:]) == 1
+        assert "name who acts with --agent" in capsys.readouterr().err
+        assert rcs("eval", "--episodes", "1") == 1
+        assert "Give a task" in capsys.readouterr().err
+        assert rcs(*command, "--out", str(out), "--robot", "so101", "--real-time") == 1
+        assert "robot, real_time cannot be combined with simulator" in capsys.readouterr().err

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import threading
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rcs_data import Dataset
+from rcs_data.ledger import Ledger
 
 import rcs
 from rcs.cli.main import main
@@ -92,14 +92,14 @@ def test_a_policy_moves_the_devices_of_a_site_and_a_person_judges(
     out, data = tmp_path / "out", tmp_path / "data"
     words = ["--policy", address, "--hardware", str(site), "--judge", "--episodes", "3", "--max-episode-steps", "15"]
     assert run(*words, "--out", str(out), "--record", str(data)) == 0
-    figures = json.loads((out / "evaluation.json").read_text())
-    assert [each["success"] for each in figures["results"]] == [True, False, None]
-    assert figures["judged"] == 2
+    rows = list(Ledger(out).rows.values())
+    assert [(row.success, row.judge) for row in rows] == [(True, "person"), (False, "person"), (None, "nobody")]
+    assert all(row.is_real for row in rows)
     episodes = Dataset.open(data).episodes
     assert [episode.success for episode in episodes] == [True, False, None]
     joints = np.asarray(episodes[0].column("observation/joints"))
     assert np.abs(joints[-1] - joints[0]).max() > 0.02
-    assert stays == [True] * 3
+    assert stays == [True] * 3, "with a recording, nothing is asked at the end"
     assert len({id(arm) for arm in arms}) == 1
     assert not arms[0].is_open
 
@@ -148,13 +148,17 @@ def test_without_an_end_devices_stay_where_they_are_until_the_server_is_back(tmp
 def test_a_device_that_fails_ends_the_run_and_says_why(
     address: str, arms: list[FakeArm], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    tripping = threading.Timer(1.5, lambda: arms[0].trip("collision"))
-    tripping.start()
+    def trip() -> None:
+        while not arms:
+            time.sleep(0.05)
+        time.sleep(1.5)
+        arms[0].trip("collision")
+
+    threading.Thread(target=trip, daemon=True).start()
     words = ["--policy", address, "--hardware", "fake", "--episodes", "3", "--max-episode-steps", "3000"]
     assert run(*words, "--out", str(tmp_path / "out")) == 1
     assert "collision" in capsys.readouterr().err
-    figures = json.loads((tmp_path / "out" / "evaluation.json").read_text())
-    assert [(each["failure"], each["success"]) for each in figures["results"]] == [("fault", None)]
+    assert [(row.failure, row.success) for row in Ledger(tmp_path / "out").rows.values()] == [("fault", None)]
 
 
 def test_what_makes_no_sense_on_devices_is_refused_before_any_is_opened(

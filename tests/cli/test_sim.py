@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -16,13 +15,12 @@ RCS = [sys.executable, "-c", "from rcs.cli.main import main; main()"]
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:
-    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     command = [*RCS, "sim", *arguments, "--cameras", "none", "--port", "0"]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_without_a_display_it_serves_a_page_until_it_is_told_to_end(number: signal.Signals) -> None:
+def test_it_serves_a_page_until_it_is_told_to_end(number: signal.Signals) -> None:
     with start("PickCuboid", "--seed", "3") as process:
         assert process.stdout is not None
         told = process.stdout.readline()
@@ -51,7 +49,7 @@ def test_without_a_display_it_serves_a_page_until_it_is_told_to_end(number: sign
 )
 def test_errors_say_what_is_wrong(arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["sim", *arguments, "--browser"])
+        main(["sim", *arguments])
     told = capsys.readouterr().err
     assert ended.value.code == 1
     assert told.startswith("error: ")
@@ -64,6 +62,6 @@ def test_without_viser_the_command_to_install_it_is_told(
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(SystemExit) as ended:
-        main(["sim", "PickCuboid", "--cameras", "none", "--browser"])
+        main(["sim", "PickCuboid", "--cameras", "none"])
     assert ended.value.code == 1
     assert "pip install 'robot-control-stack[view]'" in capsys.readouterr().err

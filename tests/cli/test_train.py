@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
@@ -12,8 +11,10 @@ import time
 from pathlib import Path
 
 import pytest
+from rcs_data.ledger import Ledger
 
 from rcs.cli.main import main
+from rcs.rl.checkpoint import find_checkpoint
 
 pytestmark = pytest.mark.extras
 
@@ -48,7 +49,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_it_leaves_checkpoints_figures_and_a_page(run: Path) -> None:
     assert sorted(path.name for path in run.iterdir() if not path.name.startswith(".")) == [
-        "checkpoints", "metrics.jsonl", "report.html", "tensorboard", "training.json",
+        "checkpoints", "metrics.jsonl", "report.html",
     ]  # fmt: skip
     page = (run / "report.html").read_text("utf-8")
     assert "PickCuboid on fr3" in page
@@ -68,16 +69,22 @@ def test_a_checkpoint_is_evaluated_in_its_own_environment(
 ) -> None:
     code, told = call(capsys, "eval", str(run), "--episodes", "3", "--out", str(tmp_path / "a"))
     assert code == 0, told
-    assert f"Policy: {run}/checkpoints/" in told
+    best = find_checkpoint(run)
+    weights = best.files["policy.pt"]
+    words = f"{run.name}@{best.steps} at {best.path}, weights {weights[:16]}"
+    assert "".join(words.split()) in "".join(told.split())  # wrapped at any place
     assert "a batch of 3 copies" in told
-    figures = json.loads((tmp_path / "a" / "evaluation.json").read_text())
-    assert figures["setup"]["max_episode_steps"] == 6
-    assert figures["setup"]["observe"] == ["privileged", "contacts"]
-    assert [result["steps"] for result in figures["results"]] == [6, 6, 6]
+    ledger = Ledger(tmp_path / "a")
+    (condition,) = ledger.conditions.values()
+    assert (condition.weights, condition.trained) == (weights, best.steps)
+    assert condition.setup["max_episode_steps"] == 6
+    assert condition.setup["observe"] == ["privileged", "contacts"]
+    assert [row.steps for row in ledger.rows.values()] == [6, 6, 6]
     out = tmp_path / "b"
     code, told = call(capsys, "eval", "PickCuboid", "--agent", str(run), "--episodes", "3", "--out", str(out))
     assert code == 0, told
-    assert json.loads((out / "evaluation.json").read_text())["results"] == figures["results"]
+    assert Ledger(out).rows.keys() == ledger.rows.keys()
+    assert [row.reward for row in Ledger(out).rows.values()] == [row.reward for row in ledger.rows.values()]
 
 
 def test_another_agent_is_evaluated_in_the_environment_of_a_checkpoint(
@@ -86,8 +93,7 @@ def test_another_agent_is_evaluated_in_the_environment_of_a_checkpoint(
     options = ("--agent", "PickExpert", "--episodes", "1", "--workers", "1", "--out", str(tmp_path))
     code, told = call(capsys, "eval", str(run), *options)
     assert code == 0, told
-    figures = json.loads((tmp_path / "evaluation.json").read_text())
-    assert (figures["agent"], figures["results"][0]["steps"]) == ("PickExpert", 6)
+    assert [(row.agent, row.steps) for row in Ledger(tmp_path).rows.values()] == [("PickExpert", 6)]
 
 
 @pytest.mark.gl
@@ -111,12 +117,13 @@ def test_a_policy_that_sees_and_its_videos(capsys: pytest.CaptureFixture[str], t
     assert code == 0, told
     assert sorted(path.stem for path in (run / "videos").iterdir()) == ["000000000", f"{newest(run):09d}"]
     assert "data:video/mp4;base64," in (run / "report.html").read_text("utf-8")
-    options = ("--episodes", "1", "--video", "--workers", "1", "--out", str(tmp_path / "e"))
+    options = ("--episodes", "1", "--videos", "1", "--workers", "1", "--out", str(tmp_path / "e"))
     code, told = call(capsys, "eval", str(run), *options)
     assert code == 0, told
-    assert (tmp_path / "e" / "000000.mp4").exists()
-    setup = json.loads((tmp_path / "e" / "evaluation.json").read_text())["setup"]
-    assert setup["cameras"]["names"] == ["wrist", "side"]
+    ledger = Ledger(tmp_path / "e")
+    (row,) = ledger.rows.values()
+    assert ledger.film(row).is_file(), told
+    assert ledger.condition(row.condition).setup["cameras"]["names"] == ["wrist", "side"]
 
 
 @pytest.mark.parametrize(
@@ -149,7 +156,10 @@ def test_what_is_wrong_is_said(
     [
         (["Free"], "Free has no reward"),
         (["StackCuboid", "--algo", "dagger"], "has one for PickCuboid, Place, not for 'StackCuboid'"),
-        (["PickCuboid", "--algo", "bc", "--robot", "xarm7"], "the lab of 'xarm7' lacks; it has front. Choose with --c"),
+        (
+            ["PickCuboid", "--algo", "dagger", "--robot", "xarm7"],
+            "the lab of 'xarm7' lacks; it has front. Choose with",
+        ),
         (["PickCuboid", "--device", "tpu"], "device is 'tpu', on which torch cannot compute here; valid is cpu"),
         (["Nope"], "no task named 'Nope'"),
     ],

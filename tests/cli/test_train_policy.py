@@ -61,7 +61,8 @@ def test_the_dataset_is_exported_once_and_the_same_command_goes_on(
     assert (
         first
         == again
-        == (f"{out / 'recipe' / 'lerobot_train.py'} {out / 'export'} {out / 'run'} --seed=0 --steps=7 --batch_size=4")
+        == f"-m vlagents.policies.lerobot_train {out / 'recipe' / 'lerobot.json'} {out / 'export'} {out / 'run'} "
+        "--seed=0 --steps=7 --batch_size=4"
     )
     assert json.loads((out / "export" / "meta" / "info.json").read_text(encoding="utf-8"))["total_episodes"] == 1
     with pytest.raises(InvalidSetup, match="another policy"):

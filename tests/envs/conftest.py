@@ -11,15 +11,15 @@ from rcs.devices import ArmLimits
 from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.envs.control_layers import layers_of
 from rcs.envs.env import Env
-from rcs.envs.ports.port import ArmPort, GripperPort
+from rcs.envs.ports.port import ArmPort, EffectorPort
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Control
 from rcs.envs.step.chain import Chain
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.stack import Stack
 from rcs.kinematics import kinematics_of
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 from rcs.sim.scene import RobotPlacement
 
 
@@ -70,7 +70,7 @@ class Bench:
         self.arms.append(arm)
         self.grippers.append(gripper)
         placement = RobotPlacement(name=prefix or "fr3", arm=FR3, gripper=FRANKA_HAND)
-        ports = [ArmPort(arm, kinematics_of(FR3, FRANKA_HAND)), GripperPort(gripper)]
+        ports = [ArmPort(arm, kinematics_of(FR3, FRANKA_HAND)), EffectorPort(gripper)]
         return Chain(ports, layers_of(self.setup, placement))
 
 

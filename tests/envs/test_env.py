@@ -277,7 +277,7 @@ def test_render_gives_a_picture() -> None:
 def test_a_printed_environment_shows_its_stack_from_top_to_bottom() -> None:
     lines = str(rcs.make("PickCuboid", control="xyzrpy", relative=False)).splitlines()
     parts = ["rcs PickCuboid with fr3", "500 Hz", "BinaryGripper", "XyzrpyControl", "CartesianControl"]
-    parts += ["LimitStep", "SimArmPort: joints -> joints, tquat", "SimGripperPort: gripper -> gripper"]
+    parts += ["LimitStep", "SimArmPort: joints -> joints, tquat", "SimEffectorPort: gripper -> gripper"]
     assert len(lines) == len(parts)
     for line, part in zip(lines, parts, strict=True):
         assert part in line
@@ -327,7 +327,7 @@ def test_an_interrupted_step_stops_the_robot(make_bench) -> None:
         bench.clock.now += seconds / 4
         raise KeyboardInterrupt
 
-    bench.env._clock._sleep = interrupt
+    bench.env.clock._sleep = interrupt
     with pytest.raises(KeyboardInterrupt):
         bench.env.step({"joints": np.full(7, 0.03), "gripper": np.zeros(1, np.float32)})
     before = bench.arm.state().joints

@@ -18,8 +18,8 @@ from rcs.envs.env import Env
 from rcs.envs.gates.gate import Gate
 from rcs.envs.setup import Setup
 from rcs.hardware import Site
-from rcs.robots.fr3.description import FR3
-from rcs.robots.so101.description import SO101
+from rcs.robots.fr3 import FR3
+from rcs.robots.so101 import SO101
 from rcs.setups.make import resolve
 
 HOME = np.array(FR3.home)
@@ -229,7 +229,7 @@ def test_hold_ends_a_synchronous_step_and_its_way(clock: Any) -> None:
     hall = Hall(clock, limits(), relative=False, stepping="sync")
     env = hall.env
     env.reset(seed=0)
-    inner, count = env._clock._sleep, []
+    inner, count = env.clock._sleep, []
 
     def hold_after_a_while(seconds: float) -> None:
         inner(seconds)
@@ -237,7 +237,7 @@ def test_hold_ends_a_synchronous_step_and_its_way(clock: Any) -> None:
         if len(count) == 100:
             env.hold()
 
-    env._clock._sleep = hold_after_a_while
+    env.clock._sleep = hold_after_a_while
     observation, *_ = env.step(hall.act(joints=HOME + 0.9))
     assert 0.1 < (observation["joints"] - HOME)[0] < 0.5
     assert len(count) < 110

@@ -13,7 +13,7 @@ from rcs.errors import InvalidSetup, UnknownName
 def test_a_planner_sees_the_scene_as_it_is_and_looks_again_when_asked() -> None:
     with rcs.make("PickCuboid", robot="fr3", task_options={"obstacles": 4}) as env:
         env.reset(seed=0)
-        planner = planner_for(env, planner="EST")
+        planner = planner_for(env)
         before = planner.checker.clearance(planner.joints, 1.0).distance
         data = env.simulation.world.data
         assert data is not None

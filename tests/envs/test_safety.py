@@ -14,9 +14,8 @@ from rcs.envs.env import Env
 from rcs.envs.layers import Layer
 from rcs.errors import DeviceFault, UnknownName, WrongOrder
 from rcs.setups.ids import ids
-from rcs.testing import SafetyContract
-from rcs.testing.acting import go, joints_of, lift, stay
-from rcs.testing.safety_contract import PUSH
+from tests.envs.acting import go, joints_of, lift, stay
+from tests.envs.safety_contract import PUSH, SafetyContract
 
 OPTIONS: dict[str, dict[str, Any]] = {
     **{name: {"task": task, "robot": robot} for name, (task, robot) in ids().items()},
@@ -137,7 +136,7 @@ class TestFakes(SafetyContract):
                 if bench.clock.now - start > 0.004:
                     bench.arms[-1].set_fault("touched something")
 
-            env._clock._sleep = sleep_and_fail
+            env.clock._sleep = sleep_and_fail
             *_, info = env.step(go(env, lift(env)))
             assert info["end"] == "fault"
             assert bench.clock.now - start < 0.015
@@ -164,7 +163,7 @@ def stop_inside_of_the_next_step(bench: Any) -> tuple[threading.Event, threading
         assert may_go_on.wait(10)
         bench.clock.now += seconds
 
-    bench.env._clock._sleep = wait
+    bench.env.clock._sleep = wait
     return is_inside, may_go_on
 
 
@@ -183,7 +182,7 @@ def test_two_threads_in_one_environment_are_told_apart(make_bench: Callable[...,
     before = joints_of(env)[""]
     may_go_on.set()
     thread.join(10)
-    env._clock._sleep = bench.clock.sleep
+    env.clock._sleep = bench.clock.sleep
     env.step(stay(env, lift(env)))
     np.testing.assert_allclose(joints_of(env)[""], before, atol=1e-9)
     env.close()

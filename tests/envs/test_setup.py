@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.robots.camera_mount import CameraMount, looking
+from rcs.robots.camera import CameraMount, looking
 from rcs.sim.randomisation import Randomisation
 
 
@@ -78,7 +78,7 @@ def test_a_twist_is_relative_to_nothing_else_than_the_last_target(relative: Any)
         (True, Randomisation()),
         (False, None),
         ({"friction": [0.5, 2.0]}, Randomisation.off(friction=(0.5, 2.0))),
-        ("strong", Randomisation.strong()),
+        ("strong", Randomisation.of("strong")),
         ("none", None),
     ],
 )

@@ -9,7 +9,7 @@ from gymnasium import spaces
 from hypothesis import given, settings
 from hypothesis.extra.numpy import arrays
 
-from rcs.envs.spaces import check_action, joints_space, normalised_space, tquat_space, xyzrpy_space
+from rcs.envs.spaces import ActionCheck, joints_space, normalised_space, tquat_space, xyzrpy_space
 from rcs.errors import InvalidAction
 
 BOXES = {"joints": joints_space([-1.0, -2.0], [1.0, 2.0]), "gripper": normalised_space(1)}
@@ -42,19 +42,19 @@ GOOD: dict[str, Any] = {"joints": np.array([0.5, -1.5]), "gripper": np.ones(1, n
 )
 def test_a_bad_action_is_refused_with_what_came_and_what_is_valid(action: Any, texts: list[str]) -> None:
     with pytest.raises(InvalidAction) as caught:
-        check_action(action, BOXES)
+        ActionCheck(BOXES)(action)
     for text in texts:
         assert text in str(caught.value)
 
 
 def test_in_a_batch_the_message_names_the_copy() -> None:
     batch = {"joints": np.zeros((3, 2)), "gripper": np.zeros((3, 1))}
-    check_action(batch, BOXES, (3,))
+    ActionCheck(BOXES, (3,))(batch)
     batch["joints"][2, 1] = np.nan
     with pytest.raises(InvalidAction, match=re.escape("'joints'[2, 1] is nan")):
-        check_action(batch, BOXES, (3,))
+        ActionCheck(BOXES, (3,))(batch)
     with pytest.raises(InvalidAction, match=re.escape("valid is (4, 2)")):
-        check_action(batch, BOXES, (4,))
+        ActionCheck(BOXES, (4,))(batch)
 
 
 @settings(max_examples=200, deadline=None)
@@ -63,7 +63,7 @@ def test_what_passes_is_inside_the_bounds_and_what_is_inside_passes(joints: Any,
     action = {"joints": joints, "gripper": gripper}
     is_inside = all(np.isfinite(action[key]).all() and box.contains(action[key]) for key, box in BOXES.items())
     try:
-        checked = check_action(action, BOXES)
+        checked = ActionCheck(BOXES)(action)
     except InvalidAction:
         assert not is_inside
         return
@@ -78,7 +78,7 @@ def test_what_passes_is_inside_the_bounds_and_what_is_inside_passes(joints: Any,
     [[0, 1], (0.5, 1.5), np.array([0, 1], np.int8), np.array([0.5, 1.5], np.float32), np.array([1.5, 0.0, 0.5])[::-2]],
 )
 def test_numbers_of_any_kind_become_arrays_of_the_right_dtype(joints: Any) -> None:
-    checked = check_action({"joints": joints, "gripper": [1]}, BOXES)
+    checked = ActionCheck(BOXES)({"joints": joints, "gripper": [1]})
     np.testing.assert_array_equal(checked["joints"], np.asarray(joints, np.float64))
     assert checked["joints"].dtype == np.float64
     assert checked["gripper"].dtype == np.float32
@@ -88,13 +88,13 @@ def test_a_bound_that_went_through_float32_is_still_inside() -> None:
     boxes = {"joints": joints_space([-2.7437, -2.9007], [2.7437, 2.9007])}
     rounded = np.array([2.7437, 2.9007], np.float32)
     assert (rounded > boxes["joints"].high).any()
-    checked = check_action({"joints": rounded}, boxes)
+    checked = ActionCheck(boxes)({"joints": rounded})
     assert (checked["joints"] <= boxes["joints"].high).all()
 
 
 def test_checked_arrays_are_fresh() -> None:
     action = {key: value.copy() for key, value in GOOD.items()}
-    checked = check_action(action, BOXES)
+    checked = ActionCheck(BOXES)(action)
     for key in BOXES:
         assert not np.shares_memory(checked[key], action[key])
         np.testing.assert_array_equal(action[key], GOOD[key])
@@ -103,4 +103,4 @@ def test_checked_arrays_are_fresh() -> None:
 @pytest.mark.parametrize("box", [tquat_space(), xyzrpy_space(), normalised_space(3)])
 def test_every_bound_is_an_action(box: spaces.Box) -> None:
     for bound in (box.low, box.high):
-        np.testing.assert_array_equal(check_action({"key": bound}, {"key": box})["key"], bound)
+        np.testing.assert_array_equal(ActionCheck({"key": box})({"key": bound})["key"], bound)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from rcs_data import Dataset
+from rcs_data.ledger import Ledger
 
 from rcs.devices import lookup
 
@@ -65,6 +65,7 @@ def test_the_robot_is_unknown_before_its_package_is_installed() -> None:
     assert "my_robot" not in lookup.names("arm")
 
 
+@pytest.mark.slow
 def test_the_tests_of_the_package_pass(installed: dict[str, str]) -> None:
     told = run(installed, "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider")
     assert " passed" in told
@@ -112,12 +113,13 @@ def test_its_task_is_collected_with_its_layer_and_replays_bit_for_bit(
 
 def test_its_agent_is_evaluated_beside_the_expert(installed: dict[str, str], tmp_path: Path) -> None:
     options = ("--robot", "my_robot", "--episodes", "4", "--workers", "2")
-    run(installed, *RCS, "eval", "PushToLine", *options, "--out", str(tmp_path / "expert"))
-    run(installed, *RCS, "eval", "PushToLine", *options, "--agent", "Wander", "--out", str(tmp_path / "chance"))
-    expert, chance = (json.loads((tmp_path / who / "evaluation.json").read_text()) for who in ("expert", "chance"))
-    assert [result["seed"] for result in expert["results"]] == [result["seed"] for result in chance["results"]]
-    assert (expert["successes"], chance["successes"]) == (4, 0)
-    assert chance["agent"] == "Wander"
+    run(installed, *RCS, "eval", "PushToLine", *options, "--out", str(tmp_path))
+    run(installed, *RCS, "eval", "PushToLine", *options, "--agent", "Wander", "--out", str(tmp_path))
+    ledger = Ledger(tmp_path)
+    expert, chance = ({row.seed: row.success for row in ledger.of(one)} for one in ledger.conditions)
+    assert expert.keys() == chance.keys()
+    assert (sum(map(bool, expert.values())), sum(map(bool, chance.values()))) == (4, 0)
+    assert ledger.find("Wander")
 
 
 def test_gymnasium_makes_its_task_by_id_and_its_driver_makes_it_real(installed: dict[str, str]) -> None:

@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, edit
 from rcs_data.convert.formats import EXPORTS
 from rcs_data.convert.options import ExportOptions
@@ -29,11 +27,10 @@ HOSTILE: list[Any] = [
     "<script>alert(1)</script>", "{0.__class__}", "{episode_index:0999999999d}", "x" * 5000, [], {}, [1], ["x"], [[]],
     {"a": 1}, [10**18], [10**9, 10**9], [0], [-1], [1.5], ["../x"], {"../../escaped": "0" * 64}, {"": {}}, [{}], [None],
 ]  # fmt: skip
-DEEP = (70, 400, 3000)
 
 
 def make_templates(folder: Path) -> None:
-    """Make a dataset of each kind, and the bombs."""
+    """Make a dataset of each kind."""
     _record(folder / NATIVE, images=False)
     _record(folder / IMAGES, images=True)
     _record(folder / EDITED, images=False)
@@ -43,7 +40,6 @@ def make_templates(folder: Path) -> None:
     options = ExportOptions()
     for kind in (LEROBOT_3, LEROBOT_2, ROBOMIMIC):
         EXPORTS[kind](Dataset.open(folder / IMAGES), folder / kind, options)
-    _make_bombs(folder)
 
 
 def damage(path: Path, kind: str, templates: Path, rng: random.Random) -> list[str]:
@@ -55,7 +51,6 @@ def damage(path: Path, kind: str, templates: Path, rng: random.Random) -> list[s
             choices += [_hdf5] * 3
         else:
             choices += [_json, _json, _json, _json, _folder]
-            choices += [_parquet, _parquet, _bomb]
         said.append(rng.choice(choices)(path, templates, rng))
     return said
 
@@ -73,7 +68,7 @@ def _record(path: Path, *, images: bool) -> None:
     if images:
         features += [
             Feature(key="observation/frames/wrist/rgb", shape=(16, 24, 3), dtype="uint8", encoding="jpeg"),
-            Feature(key="observation/frames/side/rgb", shape=(16, 24, 3), dtype="uint8", encoding="h264"),
+            Feature(key="observation/frames/side/rgb", shape=(16, 24, 3), dtype="uint8", encoding="lossless"),
             Feature(key="observation/frames/wrist/depth", shape=(8, 10), dtype="uint16", encoding="depth"),
             Feature(key="observation/frames/wrist/intrinsics", shape=(3, 3), dtype="float64", encoding="held"),
             Feature(key="time/frames/wrist", shape=(), dtype="float64"),
@@ -100,28 +95,6 @@ def _record(path: Path, *, images: bool) -> None:
                 episode.finish((True, False, None)[number], {"failure": None})
 
 
-def _make_bombs(folder: Path) -> None:
-    """Write files of a megabyte that become gigabytes: by compression, and by one value that stands for many rows."""
-    schema = Dataset.open(folder / NATIVE)["000000"].steps().schema
-    group = pa.table({f.name: _zeros(f.type, 500_000) for f in schema}, schema)
-    with pq.ParquetWriter(folder / "zeros.parquet", schema, compression="zstd", use_dictionary=False) as writer:
-        for _ in range(16):
-            writer.write_table(group)
-    images = pa.schema([pa.field("image", pa.large_binary())])
-    with pa.ipc.new_file(folder / "frames.arrow", images, options=pa.ipc.IpcWriteOptions(compression="zstd")) as writer:
-        for _ in range(8):
-            writer.write_batch(pa.record_batch([pa.array([bytes(4_000_000)] * 32, pa.large_binary())], schema=images))
-
-
-def _zeros(kind: pa.DataType, rows: int) -> pa.Array:
-    if pa.types.is_fixed_size_list(kind):
-        flat = pa.array(np.zeros(rows * kind.list_size)).cast(kind.value_type)
-        return pa.FixedSizeListArray.from_arrays(flat, kind.list_size)
-    if pa.types.is_binary(kind):
-        return pa.array([b"x"] * rows, pa.binary())
-    return pa.array(np.zeros(rows)).cast(kind)
-
-
 def _files(path: Path, pattern: str = "*") -> list[Path]:
     if path.is_file() or path.is_symlink():
         return [path]
@@ -138,18 +111,20 @@ def _json(path: Path, templates: Path, rng: random.Random) -> str:
         file.read_text(errors="replace").split("\n") if file.suffix == ".jsonl" else [file.read_text(errors="replace")]
     )
     number = rng.randrange(len(lines))
-    is_index = file.name == "episodes.jsonl"
+    is_line = file.name == "episodes.jsonl" or file.parent.name == "history"
     try:
-        values = json.loads(lines[number].rpartition("\t")[0] if is_index else lines[number])
+        values = json.loads(lines[number])
     except ValueError:
         return f"{file.name} is damaged already"
     how = _mutate(values, rng)
-    text = json.dumps(_sealed(values) if isinstance(values, dict) and "checksum" in values else values)
-    if rng.random() < 0.08:
-        depth = rng.choice(DEEP)
-        text = text.replace("1", "[" * depth + "]" * depth, 1)
-        how += f", nested {depth} deep"
-    lines[number] = f"{text}\t{zlib.crc32(text.encode()):08x}" if is_index else text
+    if is_line and isinstance(values, dict):
+        text = json.dumps({key: value for key, value in values.items() if key != "checksum"}, separators=(",", ":"))[
+            :-1
+        ]
+        text = f'{text},"checksum":"{zlib.crc32(text.encode()):08x}"}}'
+    else:
+        text = json.dumps(_sealed(values) if isinstance(values, dict) and "checksum" in values else values)
+    lines[number] = text
     _replace(file, "\n".join(lines).encode())
     return f"{file.name}: {how}"
 
@@ -239,7 +214,7 @@ def _folder(path: Path, templates: Path, rng: random.Random) -> str:
             folder.symlink_to(outside)
     else:
         place, target = {
-            "open link": (path / "episodes" / ".open-x", outside),
+            "open link": (path / "open" / "x", outside),
             "stranger": (path / "episodes" / os.fsdecode(b"\xff\n"), outside),
             "lock link": (path / ".writer.lock", outside / "file"),
             "tmp link": (path / "dataset.json.tmp", outside / "file"),
@@ -250,51 +225,6 @@ def _folder(path: Path, templates: Path, rng: random.Random) -> str:
                 place.unlink()
             place.symlink_to(target)
     return f"{folder.relative_to(path)}: {how}"
-
-
-def _parquet(path: Path, templates: Path, rng: random.Random) -> str:
-    """Scribble over a file of rows or images, and have its `episode.json` say that this is how it was written."""
-    files = [file for file in _files(path) if file.suffix in (".parquet", ".arrow")]
-    if not files:
-        return "no file of rows"
-    file = rng.choice(files)
-    data = file.read_bytes()
-    # The footer and the heads of pages are what Arrow believes.
-    place = rng.choice(("anywhere", "footer", "footer"))
-    tail = 8 if file.suffix == ".parquet" else 10
-    start = max(len(data) - int.from_bytes(data[-tail:][:4], "little") - tail, 0) if place == "footer" else 0
-    changed = bytearray(data)
-    for _ in range(rng.choice((1, 1, 2, 8))):
-        if len(changed) > start:
-            changed[rng.randrange(start, len(changed))] = rng.randrange(256)
-    _replace(file, bytes(changed))
-    _rehash(file, None)
-    return f"{file.name}: {place} changed"
-
-
-def _bomb(path: Path, templates: Path, rng: random.Random) -> str:
-    bombs = {".parquet": "zeros.parquet", ".arrow": "frames.arrow"}
-    files = [file for file in _files(path) if file.suffix in bombs]
-    if not files:
-        return "no file for a bomb"
-    file = rng.choice(files)
-    _replace(file, (templates / bombs[file.suffix]).read_bytes())
-    _rehash(file, rng.choice((None, 8_000_000, 1000)) if file.suffix == ".parquet" else None)
-    return f"{file.name}: a bomb"
-
-
-def _rehash(file: Path, length: int | None) -> None:
-    about = file.with_name("episode.json")
-    if not about.is_file():  # an earlier blow may have made a pipe of it, which nobody ever writes to
-        return
-    try:
-        values = json.loads(about.read_bytes())
-        values["sha256"][file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
-    except (OSError, ValueError, KeyError, TypeError):
-        return
-    if length is not None:
-        values["length"] = length
-    _replace(about, json.dumps(_sealed(values), indent=1).encode())
 
 
 def _hdf5(path: Path, templates: Path, rng: random.Random) -> str:

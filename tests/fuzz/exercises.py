@@ -8,15 +8,12 @@ from pathlib import Path
 
 from rcs_data import Dataset, DatasetWriter, FrameAccess, Windows, check, recover
 from rcs_data.check.repair import repair
-from rcs_data.cli.check import CheckCommand
+from rcs_data.cli.check import CheckCommand, RecoverCommand
 from rcs_data.cli.combine import MergeCommand, MixCommand, SplitCommand
+from rcs_data.cli.convert import ExportCommand, ImportCommand
 from rcs_data.cli.edit import DeleteCommand, HistoryCommand, KeepCommand, PruneCommand, RelabelCommand, UndoCommand
-from rcs_data.cli.export import ExportCommand
-from rcs_data.cli.import_ import ImportCommand
-from rcs_data.cli.info import InfoCommand
 from rcs_data.cli.program import run
-from rcs_data.cli.recover import RecoverCommand
-from rcs_data.cli.view import ViewCommand
+from rcs_data.cli.view import InfoCommand, ViewCommand
 from rcs_data.view import write_report
 
 from rcs.rollout.recorded_setup import physics_of
@@ -44,7 +41,8 @@ def read_frames(path: Path, out: Path) -> None:
 
 def table(path: Path, out: Path) -> None:
     """Read the numbers of all episodes at once."""
-    Dataset.open(path).to_arrow()
+    for episode in Dataset.open(path):
+        episode.steps()
 
 
 def train(path: Path, out: Path) -> None:
@@ -90,7 +88,7 @@ READING: dict[str, Exercise] = {
     "view": command(lambda path, out: ViewCommand(path=path)),
     "view_out": command(lambda path, out: ViewCommand(path=path, out=out)),
     "history": command(lambda path, out: HistoryCommand(path=path)),
-    "check_json": command(lambda path, out: CheckCommand(path=path, json=True, fast=True)),
+    "check_json": command(lambda path, out: CheckCommand(path=path, json=True, depth="bytes")),
     "split": command(lambda path, out: SplitCommand(path=path, out=out)),
     "split_parts": command(lambda path, out: SplitCommand(path=path, out=out, parts=("a=0.5", "b=0.5"))),
     "merge": command(lambda path, out: MergeCommand(sources=(path, path), out=out)),

@@ -1,4 +1,4 @@
-"""Eighty damaged datasets are read or refused, and nothing else happens; `datasets.py` tries thousands."""
+"""Forty damaged datasets are read or refused, and nothing else happens; `datasets.py` tries thousands."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 
 
 def test_a_damaged_dataset_is_read_or_refused() -> None:
-    command = [sys.executable, str(Path(__file__).with_name("datasets.py")), "--trials", "80", "--seed", "0"]
+    command = [sys.executable, str(Path(__file__).with_name("datasets.py")), "--trials", "40", "--seed", "0"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.stdout, done.stderr
     told = json.loads(done.stdout.splitlines()[-1])
     assert told["kinds"] == []
-    assert told["trials"] == 80
-    assert min(told["outcomes"]["done"], told["outcomes"]["refused"]) > 50, (
+    assert told["trials"] == 40
+    assert min(told["outcomes"]["done"], told["outcomes"]["refused"]) > 25, (
         "the damage is neither too small nor too large"
     )

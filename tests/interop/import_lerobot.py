@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from rcs_data import Windows, check
 from rcs_data.convert.labels import row_texts
-from rcs_data.convert.lerobot import export_lerobot
-from rcs_data.convert.lerobot_import import import_lerobot
+from rcs_data.convert.lerobot.export import export_lerobot
+from rcs_data.convert.lerobot.import_ import import_lerobot
 from rcs_data.convert.options import ExportOptions
-from rcs_data.trajectory import action_layout, camera_features, state_layout
+from rcs_data.read.trajectory import action_layout, camera_features, state_layout
 
 FRAMES = 24
 

@@ -16,7 +16,7 @@ import numpy as np
 from rcs_data import Dataset
 from rcs_data.convert.formats import EXPORTS
 from rcs_data.convert.options import ExportOptions
-from rcs_data.trajectory import action_layout, camera_features, state_layout, step_frames, trajectory
+from rcs_data.read.trajectory import action_layout, camera_features, state_layout, step_frames, trajectory
 
 from rcs.cli.main import main as rcs
 

@@ -16,7 +16,7 @@ import numpy as np
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs_data.convert.formats import EXPORTS
 from rcs_data.convert.options import ExportOptions
-from rcs_data.trajectory import action_layout, camera_features, state_layout, step_frames, trajectory
+from rcs_data.read.trajectory import action_layout, camera_features, state_layout, step_frames, trajectory
 
 TASK = "Heb de kubus – 立方体を持ち上げる"
 STEPS = 7

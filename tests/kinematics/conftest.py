@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rcs.kinematics import DampedLeastSquares, attach_end_effector, kinematics_of, load
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 
 
 @pytest.fixture(scope="session")

@@ -10,11 +10,11 @@ import pytest
 
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.kinematics import IkOptions, IkStatus, kinematics_of, load
+from rcs.robots.cameras import REALSENSE_D435
 from rcs.robots.description import Description
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
-from rcs.robots.realsense_d435.description import REALSENSE_D435
-from rcs.robots.tilburg_hand.description import TILBURG_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
+from rcs.robots.tilburg_hand import TILBURG_HAND
 from rcs.sim.robot_model import LOAD
 from rcs.sim.scene import RobotPlacement, Scene
 from rcs.spatial import Pose

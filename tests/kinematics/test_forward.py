@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
 from rcs.kinematics import DampedLeastSquares, kinematics_of
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 from rcs.spatial import Pose
 
 

@@ -1,21 +1,25 @@
-"""Planning past obstacles with the planner that needs no extra."""
+"""Planning past obstacles by OMPL's planners."""
 
 from __future__ import annotations
 
 import pickle
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
-from rcs.errors import InvalidSetup, PlanningFailed
-from rcs.planning import Path, Planner
+from rcs.errors import InvalidSetup, PlanningFailed, UnknownName
+from rcs.planning import PLANNERS, Path, Planner
 from rcs.spatial import Pose
 from tests.planning.scene import HOME, LEFT, RIGHT, make_planner
+
+pytestmark = pytest.mark.extras
 
 
 @pytest.fixture
 def planner() -> Planner:
-    return make_planner(planner="EST", time_limit=30.0)
+    return make_planner(time_limit=30.0)
 
 
 def require_free(planner: Planner, path: Path, margin: float = 0.0) -> None:
@@ -40,7 +44,7 @@ def test_the_same_seed_gives_the_same_path_and_another_one_another(planner: Plan
 
 
 def test_shortcuts_shorten_and_keep_the_ends() -> None:
-    planner = make_planner(planner="EST", time_limit=30.0)
+    planner = make_planner(time_limit=30.0)
     long, short = (planner.plan(LEFT, RIGHT, seed=5, shortcut=is_short) for is_short in (False, True))
     assert short.length < long.length
     require_free(planner, short)
@@ -94,7 +98,7 @@ def test_without_a_way_the_search_ends_in_time(planner: Planner) -> None:
 
 
 def test_a_grasped_object_is_carried_clear_of_everything() -> None:
-    planner = make_planner(planner="EST", time_limit=30.0)
+    planner = make_planner(time_limit=30.0)
     bare = planner.plan(LEFT, RIGHT, seed=1)
     from tests.planning.scene import make_model  # names of its bodies
 
@@ -120,4 +124,30 @@ def test_what_makes_no_sense_is_refused(planner: Planner) -> None:
     with pytest.raises(InvalidSetup, match="margin"):
         Planner(planner.checker, planner.limits, margin=-1.0)
     with pytest.raises(InvalidSetup, match="no kinematics"):
-        Planner(planner.checker, planner.limits, planner="EST").plan(LEFT, Pose())
+        Planner(planner.checker, planner.limits).plan(LEFT, Pose())
+
+
+@pytest.mark.parametrize("name", [*PLANNERS, "KPIECE1", "InformedRRTstar"])
+def test_every_planner_finds_a_way_and_the_same_again(name: str) -> None:
+    planner = make_planner(planner=name, time_limit=60.0, iterations=60)
+    first, again = (planner.plan(LEFT, RIGHT, seed=2) for _ in range(2))
+    np.testing.assert_array_equal(first.waypoints, again.waypoints)
+    assert planner.checker.free_rows(first.at(np.linspace(0.0, 1.0, 1500)), 0.002).all()
+
+
+def test_a_name_that_no_planner_has_lists_those_that_there_are() -> None:
+    with pytest.raises(UnknownName, match="Did you mean 'RRTConnect'"):
+        make_planner(planner="RRTConect").plan(LEFT, RIGHT)
+
+
+def test_a_program_that_has_planned_ends_without_a_word() -> None:
+    program = (
+        "import rcs\n"
+        "with rcs.make('PickCuboid', robot='fr3', task_options={'obstacles': 4}) as env:\n"
+        "    env.reset(seed=0)\n"
+        "    planner = rcs.envs.planner_for(env)\n"
+        "    planner.plan(planner.joints, planner.joints + 0.2, seed=1)\n"
+        "    planner.plan(planner.joints, rcs.Pose.from_rpy((0.4, 0.3, 0.3), (3.14159, 0, 0)), seed=1)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -208,28 +208,6 @@ def test_the_same_seed_gives_the_same_bytes_with_latency_too(env: Env) -> None:
     assert digests[0] == digests[1]
 
 
-def test_a_policy_that_goes_on_from_what_is_in_flight_is_given_it(env: Env) -> None:
-    class Continuing(Swing):
-        def infer(self, observation: Observation) -> Chunk:
-            chunk = super().infer(observation)
-            if observation.previous is not None:
-                rows = chunk.actions.copy()
-                rows[: observation.frozen] = observation.previous[: observation.frozen]
-                return Chunk(rows, chunk.period, chunk.time, {"continues": 1})
-            return chunk
-
-    policy = Continuing()
-    policy.told = replace(policy.told, continues=True)
-    rollout(env, ChunkAgent(env, policy, execution=Execution(mode="rtc", latency=0.1)), 30)
-    assert policy.seen[0].previous is None
-    for seen in policy.seen[1:]:
-        assert seen.previous is not None
-        assert seen.frozen == 3
-        ends = seen.time - policy.seen[0].time + (1 + np.arange(len(seen.previous))) / 30
-        np.testing.assert_allclose(seen.previous[:, :7], policy.start + 0.3 * ends[:, None], atol=1e-4)
-        np.testing.assert_allclose(seen.previous[:, 7], 1.0)
-
-
 def test_latency_age_and_place_in_the_chunk_are_recorded(env: Env, tmp_path: Path) -> None:
     agent = ChunkAgent(env, Swing(), execution=Execution(latency=0.1))
     with DatasetWriter.open(tmp_path, dataset_info(env, notes=NOTES)) as writer:

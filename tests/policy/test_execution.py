@@ -12,7 +12,7 @@ import pytest
 from rcs.errors import InvalidSetup
 from rcs.policy import ChunkPlan, Execution
 from rcs.policy.execution import Executor
-from rcs.policy.plan import Part, Plan
+from rcs.policy.plan import Part
 
 PERIOD = 1 / 30
 PART = Part("joints", slice(0, 1), "linear")
@@ -25,15 +25,13 @@ class Course:
         self.executor = Executor(execution, PERIOD)
         self.horizon, self.period = horizon, 1 / rate
         self.asked: list[float] = []
-        self.in_flight: list[tuple[Plan | None, float]] = []
         self.error: Exception | None = None
         self.offset: Callable[[float], float] = lambda begin: 0.0
         self.now = 0.0
 
-    def question(self, plan: Plan | None, delay: float) -> Callable[[], ChunkPlan]:
+    def question(self) -> Callable[[], ChunkPlan]:
         now = self.now
         self.asked.append(now)
-        self.in_flight.append((plan, delay))
 
         def ask() -> ChunkPlan:
             if self.error is not None:
@@ -121,13 +119,6 @@ def test_real_time_chunking_changes_over_without_a_jump() -> None:
     assert steps["rtc"] < 0.45
 
 
-def test_what_is_in_flight_goes_along_with_the_delay_to_expect() -> None:
-    course = Course(Execution(mode="rtc", latency=0.1, rows=6))
-    course.run(20)
-    assert course.in_flight[0] == (None, 0.0)
-    assert all(plan is not None and delay == pytest.approx(0.1) for plan, delay in course.in_flight[1:])
-
-
 def test_an_error_means_hold_at_once_and_another_try_later() -> None:
     course = Course(Execution(rows=6, retry=0.5))
     assert None not in course.run(6)
@@ -151,7 +142,7 @@ def threaded(gate: threading.Event, name: str) -> tuple[Executor, Callable[..., 
     """Return an executor with a thread, and questions that are answered once a gate is open, with their number."""
     executor = Executor(Execution(), PERIOD, name)
 
-    def question(plan: Plan | None, delay: float) -> Callable[[], ChunkPlan]:
+    def question() -> Callable[[], ChunkPlan]:
         value = float(next(numbers))
 
         def compute() -> ChunkPlan:

@@ -97,12 +97,11 @@ def test_a_grippers_opening_is_never_between_two_rows() -> None:
     assert openings == [1.0] * 6 + [0.0] * 6
 
 
-def test_units_and_conventions_are_converted_and_back() -> None:
+def test_units_and_conventions_are_converted() -> None:
     part = Part("gripper", slice(2, 3), "opening", scale=-0.5, offset=0.5)  # -1 open, 1 closed
     actions = np.array([[9.0, 9.0, -1.0], [9.0, 9.0, 1.0]])
     rows = part.read(actions, None)
     assert rows.tolist() == [[1.0], [0.0]]
-    np.testing.assert_allclose([part.unread(row, None) for row in rows], actions[:, 2:])
 
 
 def test_rows_that_count_from_the_start_are_targets_from_there() -> None:
@@ -119,8 +118,6 @@ def test_rows_that_count_from_the_start_are_targets_from_there() -> None:
     # The motion turns about the axes of the base frame: what is left after taking the start away is the motion.
     turned = compose(np.array([0, 0, 0, *command["tquat"][3:]]), inverse(np.array([0, 0, 0, *start["tquat"][3:]])))
     np.testing.assert_allclose(normalize(turned)[3:], normalize(motion)[3:], atol=1e-9)
-    back = np.concatenate([part.unread(command[part.name], start[part.name]) for part in (joints, pose)])
-    np.testing.assert_allclose(back, actions[0], atol=1e-9)
 
 
 def wave(begin: float, shift: float, count: int = 30, period: float = 0.05) -> ChunkPlan:

@@ -149,6 +149,8 @@ def test_a_server_of_openpi_is_run_with_metadata_from_a_file(env: Env, tmp_path:
         server.shutdown()
     with pytest.raises(InvalidSetup, match="sends its own metadata"):
         ServedPolicy(address="vla://127.0.0.1:1", described_in=str(path)).connect()
+    with pytest.raises(RcsError, match=r"at gr00t://127\.0\.0\.1:1"):
+        ServedPolicy(address="gr00t://127.0.0.1:1", described_in=str(path)).connect()
 
 
 def test_a_setup_takes_what_the_policy_names() -> None:

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 import rcs
-from rcs.rl.algorithms import Ppo, Sac
-from rcs.rl.training import Training
+from rcs.rl.training import Ppo, Training
 
 SETUP = rcs.Setup(
     task="PickCuboid",
@@ -21,9 +20,9 @@ SETUP = rcs.Setup(
     reward="dense",
     discount=0.95,
 )
-ALGORITHMS: dict[str, Ppo | Sac] = {
+ALGORITHMS = {
     "ppo": Ppo(n_steps=10, batch_size=10, n_epochs=2, network=(8,)),
-    "sac": Sac(learning_starts=30, batch_size=8, gradient_steps=1, network=(8,), buffer_size=60),
+    "steady": Ppo(n_steps=10, batch_size=10, n_epochs=2, network=(8,), schedule="constant"),
 }
 
 
@@ -32,7 +31,7 @@ class Small:
     """Makes small trainings and runs them."""
 
     def training(self, name: str = "ppo", **changes: Any) -> Training:
-        """Return a training by the name of its algorithm."""
+        """Return a training by the name of its algorithm in `ALGORITHMS`."""
         usual: dict[str, Any] = {
             "setup": SETUP, "copies": 2, "steps": 160, "algorithm": ALGORITHMS[name],
             "evaluate_every": 60, "checkpoint_every": 20, "episodes": 3, "torch_threads": 1,

@@ -12,7 +12,7 @@ import pytest
 from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, UnknownName
-from rcs.rl import Bc, Dagger, Training
+from rcs.rl import Dagger, Training
 
 SETUP = Setup(
     task="PickCuboid", frequency=10.0, max_episode_steps=60, layers=("ObserveTarget",), collision_reaction=False
@@ -32,11 +32,10 @@ CAMERAS = replace(SETUP, cameras=Cameras(names=("wrist", "side"), image_size=64)
 def learner(training: Training = TRAINING) -> Any:
     import torch  # pyright: ignore[reportMissingImports]
 
-    from rcs.rl.train import copies_for, flat_for, learner_for
+    from rcs.rl.train import learner_for
 
     torch.set_num_threads(1)
-    envs = copies_for(training, threads=1)
-    return learner_for(training, envs, flat_for(training, envs))
+    return learner_for(training, threads=1)
 
 
 def weights(made: Any) -> dict[str, np.ndarray]:
@@ -69,7 +68,7 @@ def test_what_the_setup_observes_is_seen_by_the_student_too() -> None:
 
 @pytest.mark.extras
 def test_it_fits_its_teacher_better_and_better() -> None:
-    training = replace(TRAINING, algorithm=Bc(**{**QUICK, "gradient_steps": 40}), steps=480)
+    training = replace(TRAINING, algorithm=Dagger(**{**QUICK, "gradient_steps": 40}, fade=None), steps=480)
     made = learner(training)
     losses: list[float] = []
     while not made.is_done:
@@ -80,17 +79,16 @@ def test_it_fits_its_teacher_better_and_better() -> None:
 
 @pytest.mark.extras
 def test_in_behaviour_cloning_the_teacher_acts_all_the_time_and_in_dagger_ever_less() -> None:
-    shares: dict[str, list[float]] = {}
-    for algorithm in (Bc(**QUICK), Dagger(**QUICK, fade=0.5)):
-        made = learner(replace(TRAINING, algorithm=algorithm))
-        shares[algorithm.name] = []
+    shares: dict[float | None, list[float]] = {None: [], 0.5: []}
+    for fade, seen in shares.items():
+        made = learner(replace(TRAINING, algorithm=Dagger(**QUICK, fade=fade)))
         while not made.is_done:
             made.advance()
-            shares[algorithm.name].append(made.figures()["train/teacher_share"])
-    assert set(shares["bc"]) == {1.0}
-    assert shares["dagger"] == sorted(shares["dagger"], reverse=True)
-    assert shares["dagger"][0] == pytest.approx(1 - 32 / 160)
-    assert shares["dagger"][-1] == 0.0
+            seen.append(made.figures()["train/teacher_share"])
+    assert set(shares[None]) == {1.0}
+    assert shares[0.5] == sorted(shares[0.5], reverse=True)
+    assert shares[0.5][0] == pytest.approx(1 - 32 / 160)
+    assert shares[0.5][-1] == 0.0
 
 
 @pytest.mark.extras
@@ -141,11 +139,9 @@ def test_a_teacher_that_is_none_is_refused() -> None:
 
 
 def test_records_of_teaching_survive_json_and_refuse_what_makes_no_sense() -> None:
-    for algorithm in (Dagger(fade=0.3, channels=(4, 8, 8)), Bc()):
+    for algorithm in (Dagger(fade=0.3, channels=(4, 8, 8)), Dagger(fade=None)):
         training = replace(TRAINING, algorithm=algorithm)
         assert Training.from_json(training.to_json()) == training
     for wrong in ({"fade": 1.5}, {"channels": (8, 16)}, {"network": (0,)}, {"teacher": 3}, {"warm_up": 0}):
         with pytest.raises(InvalidSetup, match=next(iter(wrong))):
             Dagger(**wrong)  # type: ignore[arg-type]
-    with pytest.raises(InvalidSetup, match="fade"):
-        Bc(fade=0.5)  # type: ignore[arg-type]

@@ -20,7 +20,7 @@ from rcs.agents import agent_for
 from rcs.envs.env import Env
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidAction, InvalidSetup
-from rcs.rl import Flat, FlatEnv, FlatLayout, Selection
+from rcs.rl import Flat, FlatEnv, FlatLayout
 
 SETUPS: dict[str, dict[str, Any]] = {
     "joints": {"observe": ("privileged", "contacts", "torques", "wrench")},
@@ -279,7 +279,7 @@ def test_a_wrapper_makes_actions_and_observations_vectors() -> None:
 @pytest.mark.gl
 @pytest.mark.parametrize("copies", [None, 2])
 def test_frames_are_planes_of_uint8_beside_the_state(copies: int | None) -> None:
-    options: dict[str, Any] = {"cameras": rcs.Cameras(names=("wrist", "side"), image_size=(48, 40), depth=True)}
+    options: dict[str, Any] = {"cameras": rcs.Cameras(names=("wrist", "side"), image_size=(48, 40))}
     env: Env | VecEnv = rcs.make(**options) if copies is None else rcs.make_vec(copies=copies, **options)
     flat = Flat(env)
     assert isinstance(flat.observation_space, spaces.Dict)
@@ -287,8 +287,6 @@ def test_frames_are_planes_of_uint8_beside_the_state(copies: int | None) -> None
         "state": (flat.layout.state_size,),
         "wrist": (3, 40, 48),
         "side": (3, 40, 48),
-        "wrist_depth": (1, 40, 48),
-        "side_depth": (1, 40, 48),
     }
     observation, _ = env.reset(seed=0)
     vectors = flat.observation(observation)
@@ -296,15 +294,10 @@ def test_frames_are_planes_of_uint8_beside_the_state(copies: int | None) -> None
         frame = observation["frames"][name]["rgb"]
         assert vectors[name].flags.c_contiguous
         np.testing.assert_array_equal(np.moveaxis(vectors[name], -3, -1), frame)
-        depth = observation["frames"][name]["depth"]
-        levels = vectors[f"{name}_depth"][..., 0, :, :].astype(int)
-        np.testing.assert_array_equal(levels, np.minimum(depth // 8, 255))
     if copies is None:
         assert flat.observation_space.contains(vectors)
     stored = Flat(FlatLayout.from_json(json.loads(json.dumps(flat.layout.to_json()))))
     assert same_bits(stored.observation(observation), vectors)
-    one = Flat(env, Selection(cameras=("side",)))
-    assert set(one.observation(observation)) == {"state", "side", "side_depth"}
     env.close()
 
 
@@ -316,7 +309,7 @@ def test_a_real_robot_has_the_layout_of_the_simulated_one() -> None:
 
 
 def test_the_maps_need_no_torch(run_program: Callable[..., Any]) -> None:
-    done = run_program("import sys, rcs; rcs.rl.Flat, rcs.rl.Selection; print('torch' in sys.modules)")
+    done = run_program("import sys, rcs; rcs.rl.Flat; print('torch' in sys.modules)")
     assert done.stdout.strip() == "False", done.stderr
 
 

@@ -10,7 +10,7 @@ from gymnasium import spaces
 import rcs
 from rcs.envs import spaces as keys
 from rcs.errors import InvalidSetup
-from rcs.rl import Flat, FlatLayout, Selection
+from rcs.rl import Flat, FlatLayout
 from rcs.rl.layout import Scales, bounds_of, layout_of_spaces
 
 BOX = spaces.Box(0, 1, (1,), np.float32)
@@ -18,7 +18,7 @@ BOX = spaces.Box(0, 1, (1,), np.float32)
 
 def flat_of(action: spaces.Space[Any], observation: spaces.Space[Any]) -> Flat:
     """Return the maps of an FR3 with other spaces."""
-    return Flat(layout_of_spaces(action, observation, Scales(rcs.make().robots, None), Selection()))
+    return Flat(layout_of_spaces(action, observation, Scales(rcs.make().robots, None)))
 
 
 def test_a_layout_prints_every_number_with_its_unit() -> None:
@@ -27,6 +27,15 @@ def test_a_layout_prints_every_number_with_its_unit() -> None:
     assert "(value - [0 … 0.5]) / 0.25 m" in text
     assert "privileged/cuboid/tquat (relative turn)" in text
     assert repr(flat) == f"Flat({flat.layout.state_size} numbers -> 8 numbers)"
+
+
+def test_features_of_poses_are_differences_without_an_offset() -> None:
+    layout = Flat(rcs.make(observe=("privileged",))).layout
+    features = [entry for entry in layout.state if entry.kind != "value"]
+    assert {entry.kind for entry in features} >= {"turn", "relative_turn", "near"}
+    for entry in features:
+        assert set(entry.offset) == {0.0}
+        assert set(entry.scale) == ({1.0} if entry.unit == "" else set(entry.scale[:1]))
 
 
 @pytest.mark.parametrize(
@@ -51,23 +60,19 @@ def test_a_damaged_layout_is_refused(damage: Any, message: str) -> None:
 def test_keys_choose_what_is_observed() -> None:
     env = rcs.make(observe=("privileged", "contacts"))
     whole = Flat(env)
-    flat = Flat(env, Selection(keys=("joints", "privileged"), features=()))
+    flat = Flat(env, keys=("joints", "privileged"))
     assert [one.key for one in flat.layout.state if one.kind == "value"] == [
         "joints", "privileged/cuboid/tquat", "privileged/cuboid/velocity",
     ]  # fmt: skip
     observation, _ = env.reset(seed=0)
-    redundant = Flat(env, Selection(keys=("xyzrpy",), features=()))
+    redundant = Flat(env, keys=("xyzrpy",))
     (entry,) = redundant.layout.state
     vector = redundant.observation(observation) * np.array(entry.scale) + entry.offset
     np.testing.assert_allclose(vector, observation["xyzrpy"], atol=1e-6)
     with pytest.raises(InvalidSetup, match="no key 'joint' of numbers in the observation; valid: finger_contacts"):
-        Flat(env, Selection(keys=("joint",)))
-    with pytest.raises(InvalidSetup, match=r"no cameras \['wrist'\]; valid: none"):
-        Flat(env, Selection(cameras=("wrist",)))
-    with pytest.raises(InvalidSetup, match="A layout was given and also a selection"):
-        Flat(whole.layout, Selection())
-    with pytest.raises(InvalidSetup, match="features is"):
-        Selection(features=("goal",))  # pyright: ignore[reportArgumentType]
+        Flat(env, keys=("joint",))
+    with pytest.raises(InvalidSetup, match="A layout was given and also keys"):
+        Flat(whole.layout, keys=())
 
 
 def test_spaces_without_numbers_or_bounds_are_refused() -> None:
@@ -105,7 +110,7 @@ def test_what_occurs_is_far_smaller_than_the_bounds_of_velocities_and_forces() -
     scales = Scales(rcs.make().robots, None)
     for key, box in (
         (keys.JOINT_VELOCITIES, keys.velocities_space(7)),
-        (f"privileged/cup/{keys.VELOCITY}", keys.twist_space()),
+        (f"privileged/cup/{keys.VELOCITY}", keys.object_space()[keys.VELOCITY]),
         (keys.TQUAT, keys.tquat_space()),
         (keys.XYZRPY, keys.xyzrpy_space()),
         (keys.TCP_WRENCH, keys.load_spaces([1.0])[keys.TCP_WRENCH]),
@@ -128,3 +133,14 @@ def test_bounds_become_minus_one_and_one_where_there_are_any(low: Any, high: Any
     found = bounds_of(spaces.Box(np.array(low, np.float64), np.array(high, np.float64), dtype=np.float64))
     np.testing.assert_array_equal(found[0], offset)
     np.testing.assert_array_equal(found[1], scale)
+
+
+@pytest.mark.parametrize("robot", ["fr3", "so101"])
+def test_positions_are_0_in_the_middle_of_the_tasks_area_on_the_ground(robot: str) -> None:
+    with rcs.make("PickCuboid", robot=robot, observe=("privileged",)) as env:
+        area, (placed,) = env.simulation.task.area, env.robots.values()
+        middle = placed.base_in_scene.pose.inverse().apply([*area.center, 0.0])
+        entries = [entry for entry in Flat(env).layout.state if entry.unit == "m" and entry.kind == "value"]
+    assert {entry.key for entry in entries} == {"tquat", "privileged/cuboid/tquat"}
+    for entry in entries:
+        assert entry.offset == pytest.approx(tuple(middle), abs=1e-9)

@@ -7,8 +7,8 @@ import pytest
 
 import rcs
 from rcs.rl import Flat, Ppo, Sb3VecEnv, Training
+from rcs.rl.learner import make_model
 from rcs.rl.networks import make_policy
-from rcs.rl.sb3_learner import make_model
 
 pytestmark = pytest.mark.extras
 
@@ -32,8 +32,8 @@ def test_a_network_is_told_every_number_coarsely_and_finely() -> None:
 def test_the_first_values_are_near_zero() -> None:
     torch = pytest.importorskip("torch")
     envs = copies()
-    training = Training(setup=SETUP, copies=2, steps=8, algorithm=Ppo(n_steps=4, batch_size=8))
-    policy = make_model(training, envs).policy
+    algorithm = Ppo(n_steps=4, batch_size=8)
+    policy = make_model(Training(setup=SETUP, copies=2, steps=8, algorithm=algorithm), algorithm, envs).policy
     assert float(policy.predict_values(torch.tensor(envs.reset())).detach().abs().max()) < 0.1
     envs.close()
 

@@ -7,9 +7,8 @@ import pytest
 
 import rcs
 from rcs.rl import Flat
-from rcs.rl.algorithms import Ppo
 from rcs.rl.recipes import RECIPES, recipe_for
-from rcs.rl.training import Training
+from rcs.rl.training import Ppo, Training
 
 ROBOTS = {"fr3": None, "ur5e": None, "so101": None, "xarm7": "robotiq_2f85"}
 

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rcs.robots.description import GripperDescription, Mount
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 from rcs.spatial import Pose
 from tests.robots.published import read_figures
 

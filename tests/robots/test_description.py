@@ -14,21 +14,17 @@ import pytest
 
 from rcs.devices import ArmLimits
 from rcs.errors import InvalidSetup
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
-from rcs.robots.digit.description import DIGIT
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
-from rcs.robots.realsense_d405.description import REALSENSE_D405
-from rcs.robots.realsense_d435.description import REALSENSE_D435
-from rcs.robots.realsense_d435i.description import REALSENSE_D435I
-from rcs.robots.robotiq_2f85.description import ROBOTIQ_2F85
-from rcs.robots.so101.description import SO101
-from rcs.robots.so101_gripper.description import SO101_GRIPPER
-from rcs.robots.tactile import TactileDescription
-from rcs.robots.tilburg_hand.description import TILBURG_HAND
-from rcs.robots.ur5e.description import UR5E
-from rcs.robots.usb_webcam.description import USB_WEBCAM
-from rcs.robots.xarm7.description import XARM7
+from rcs.robots.camera import CameraDescription
+from rcs.robots.cameras import REALSENSE_D405, REALSENSE_D435, REALSENSE_D435I, USB_WEBCAM
+from rcs.robots.description import ArmDescription, GripperDescription, HandDescription, Mount
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
+from rcs.robots.robotiq_2f85 import ROBOTIQ_2F85
+from rcs.robots.so101 import SO101, SO101_GRIPPER
+from rcs.robots.tactile import DIGIT, TactileDescription
+from rcs.robots.tilburg_hand import TILBURG_HAND
+from rcs.robots.ur5e import UR5E
+from rcs.robots.xarm7 import XARM7
 
 Description = ArmDescription | GripperDescription | HandDescription | CameraDescription | TactileDescription
 ALL: list[Description] = [
@@ -51,7 +47,7 @@ every_description = pytest.mark.parametrize("description", ALL, ids=lambda d: d.
 
 @every_description
 def test_the_mjcf_file_lies_next_to_the_description_and_compiles(description: Description) -> None:
-    assert description.mjcf.parent.name == description.name
+    assert description.mjcf.name == f"{description.name}.xml"
     model = mujoco.MjModel.from_xml_path(str(description.mjcf))
     assert model.body(description.base_body).parentid[0] == 0
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.franka_hand import FRANKA_HAND
 
 AtHome = Callable[[mujoco.MjModel], mujoco.MjData]
 

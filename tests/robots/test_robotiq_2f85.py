@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.robots.robotiq_2f85.description import ROBOTIQ_2F85
+from rcs.robots.robotiq_2f85 import ROBOTIQ_2F85
 from rcs.spatial import Pose
 
 Bodies = dict[str, dict[str, Any]]

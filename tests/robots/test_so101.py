@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rcs.kinematics import attach_end_effector, load
-from rcs.robots.so101.description import SO101
-from rcs.robots.so101_gripper.description import SO101_GRIPPER
+from rcs.robots.so101 import SO101, SO101_GRIPPER
 from rcs.spatial import Pose
 from rcs.testing import DescriptionContract
 from tests.robots.published import pose_of, read_figures

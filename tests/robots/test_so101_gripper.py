@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.robots.so101_gripper.description import SO101_GRIPPER
+from rcs.robots.so101 import SO101_GRIPPER
 
 AboveACuboid = Callable[..., tuple[mujoco.MjModel, mujoco.MjData]]
 

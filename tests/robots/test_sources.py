@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from importlib import import_module
+from pathlib import Path
 
 import pytest
 
@@ -18,7 +20,7 @@ CONTACT = ("friction", "solref", "solimp")
 
 def says(description: Description, *words: str) -> bool:
     """Return whether a source, or the comment beside a figure that is our own choice, names one of the words."""
-    path = description.mjcf.parent / "description.py"
+    path = Path(import_module(description.module).__file__ or "")
     comments = [line for line in path.read_text().splitlines() if line.lstrip().startswith("#")]
     return any(word in text.lower() for text in (*description.sources, *comments) for word in words)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.robots.tilburg_hand.description import TILBURG_HAND
+from rcs.robots.tilburg_hand import TILBURG_HAND
 from rcs.spatial import Pose
 from tests.robots.published import pose_of, read_figures
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.robots.tilburg_hand.description import TILBURG_HAND
+from rcs.robots.tilburg_hand import TILBURG_HAND
 from rcs.spatial import Pose
 
 BALL, CAPSULE, ELLIPSOID = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID

@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from rcs.kinematics import attach_end_effector, load
-from rcs.robots.robotiq_2f85.description import ROBOTIQ_2F85
-from rcs.robots.ur5e.description import UR5E
-from rcs.setups.labs.ur5e import LAB
+from rcs.robots.robotiq_2f85 import ROBOTIQ_2F85
+from rcs.robots.ur5e import UR5E
+from rcs.setups.labs import UR5E as LAB
 from rcs.spatial import Pose
 from rcs.testing import DescriptionContract
 from tests.robots.published import pose_of, read_figures

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.robots.xarm7.description import XARM7
+from rcs.robots.xarm7 import XARM7
 from rcs.spatial import Pose
 from rcs.testing import DescriptionContract
 from tests.robots.published import pose_of, read_figures

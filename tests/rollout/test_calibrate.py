@@ -12,11 +12,9 @@ import pytest
 import rcs
 from rcs.calibration import BoardStrategy, verify
 from rcs.errors import InvalidSetup, WrongOrder
-from rcs.robots.calibration import CameraCalibration
-from rcs.rollout import FreePath, Tour, calibrate
-from rcs.setups import Calibration, MountedCamera, board_setup, write_calibration
+from rcs.rollout import FreePath, Tour, look_around
+from rcs.setups import Calibration, MountedCamera, ShowBoardOptions, board_setup, write_calibration
 from rcs.spatial import Intrinsics
-from rcs.tasks import ShowBoardOptions
 
 pytestmark = pytest.mark.extras
 
@@ -35,7 +33,7 @@ def test_a_rendered_camera_is_found(robot: str, camera: str, size: float) -> Non
     refused: list[bool] = []
     with rcs.make(setup) as env:
         lens = Tour(env, robot=mounted.robot.name).intrinsics(camera)
-        rig = mounted.rig(lens, options.pose)
+        rig = mounted.rig(lens, options.mount.pose)
         strategy = BoardStrategy(rig, options.board, views=12)
         path = FreePath(env, mounted.robot.name)
 
@@ -43,7 +41,8 @@ def test_a_rendered_camera_is_found(robot: str, camera: str, size: float) -> Non
             refused.append(not path(start, end))
             return not refused[-1]
 
-        found = calibrate(env, strategy, camera, is_free=is_free)
+        look_around(env, strategy, camera, is_free=is_free)
+        found = strategy.solve()
     off = rig.camera_in_mount.inverse() * found.camera_in_mount
     assert 1000 * np.linalg.norm(off.translation) < 0.3
     assert np.rad2deg(np.linalg.norm(off.rotvec)) < 0.03
@@ -53,21 +52,22 @@ def test_a_rendered_camera_is_found(robot: str, camera: str, size: float) -> Non
     assert again.optical is not None
     np.testing.assert_allclose(again.optical.translation, mounted.camera.optical_in_parent.translation, atol=3e-4)
     place = mounted.known_board(found, options.board).mount.pose
-    np.testing.assert_allclose(place.matrix, options.pose.matrix, atol=1e-3)
+    np.testing.assert_allclose(place.matrix, options.mount.pose.matrix, atol=1e-3)
 
 
 @pytest.mark.gl
 @pytest.mark.slow
 def test_a_camera_with_a_bent_lens_is_found_and_its_lens_from_the_same_pictures(tmp_path: Path) -> None:
     bent = Intrinsics(width=640, height=480, fx=617.0, fy=612.0, cx=323.0, cy=236.0, distortion=(-0.3, 0, 0, 0, 0))
-    about = Calibration(optical=None, camera=CameraCalibration(intrinsics=bent))
+    about = Calibration(intrinsics=bent)
     write_calibration(tmp_path / "bent.json", {"side": about})
     setup = board_setup("fr3", "side", calibration=str(tmp_path / "bent.json"), image_size=(640, 480))
     mounted, options = MountedCamera.of(setup, "side"), ShowBoardOptions(**setup.task_options)
-    rig = mounted.rig(bent, options.pose)
+    rig = mounted.rig(bent, options.mount.pose)
     with rcs.make(setup) as env:
         strategy = BoardStrategy(rig, options.board, views=14)
-        found = calibrate(env, strategy, "side", is_free=FreePath(env, mounted.robot.name))
+        look_around(env, strategy, "side", is_free=FreePath(env, mounted.robot.name))
+        found = strategy.solve()
     off = rig.camera_in_mount.inverse() * found.camera_in_mount
     assert 1000 * np.linalg.norm(off.translation) < 0.05 and not found.alarms
     # Nobody knew the lens when these were found; the fit straightens the pictures with what it finds first.
@@ -132,9 +132,10 @@ def test_in_real_time_pictures_count_only_when_the_arm_has_come_to_rest() -> Non
     twin = rcs.make(replace(setup, stepping="sync", cameras=()))
     twin.reset()
     env = rcs.make(setup, hardware={"fr3": "fake"})
-    rig = MountedCamera.of(setup, "wrist").rig(Tour(env).intrinsics("wrist"), options.pose)
+    rig = MountedCamera.of(setup, "wrist").rig(Tour(env).intrinsics("wrist"), options.mount.pose)
     strategy = BoardStrategy(rig, options.board, views=9)
-    found = calibrate(env, strategy, "wrist", speed=1.5, is_free=FreePath(twin, "fr3"), confirm=confirm)
+    look_around(env, strategy, "wrist", speed=1.5, is_free=FreePath(twin, "fr3"), confirm=confirm)
+    found = strategy.solve()
     env.close()
     twin.close()
     off = rig.camera_in_mount.inverse() * found.camera_in_mount

@@ -11,10 +11,10 @@ import pytest
 import rcs
 from rcs.cli.main import main
 from rcs.errors import InvalidSetup, MissingDependency
-from rcs.rollout.cluster import connected
 from rcs.rollout.collect import Collection, Progress, collect
-from rcs.rollout.evaluate import Evaluation, evaluate
-from rcs.rollout.ray_pool import ClusterUsage, RayPool
+from rcs.rollout.evaluate import evaluate
+from rcs.rollout.evaluation import Evaluation
+from rcs.rollout.ray_pool import RayPool, connected
 
 IMPORTS = (
     "import sys, rcs.rollout.collect, rcs.rollout.evaluate, rcs.cli.collect, rcs.cli.eval; print('ray' in sys.modules)"
@@ -34,42 +34,28 @@ def test_ray_is_not_imported_before_it_is_used() -> None:
 @pytest.mark.usefixtures("no_ray")
 def test_a_cluster_without_ray_names_the_extra(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(MissingDependency, match=r"pip install 'robot-control-stack\[ray\]'"):
-        list(evaluate(Evaluation(setup=rcs.Setup(), ray="local", out=tmp_path)))
+        list(evaluate(Evaluation(setup=rcs.Setup(), ray="auto", out=tmp_path)))
     with pytest.raises(MissingDependency, match=r"\[ray\]"):
         list(collect(Collection(setup=rcs.Setup(), episodes=1, ray="auto", out=tmp_path / "a"), Progress()))
     with pytest.raises(SystemExit) as end:
-        main(["eval", "PickCuboid", "--ray", "--episodes", "1", "--out", str(tmp_path / "b")])
+        main(["eval", "PickCuboid", "--ray", "auto", "--episodes", "1", "--out", str(tmp_path / "b")])
     assert end.value.code == 1
     assert "[ray]" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("no_ray")
 def test_numbers_that_make_no_sense_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidSetup, match="local cluster needs a number"):
-        RayPool(list, 0, "local")
-    with pytest.raises(InvalidSetup, match="cpus"):
-        RayPool(list, 1, "local", cpus=0)
+    with pytest.raises(InvalidSetup, match="workers is -1"):
+        RayPool(list, -1, "auto")
     with pytest.raises(InvalidSetup, match="workers"):
-        Collection(setup=rcs.Setup(), episodes=1, out=tmp_path, ray="local", workers=0)
+        Collection(setup=rcs.Setup(), episodes=1, out=tmp_path, workers=0)
     assert Collection(setup=rcs.Setup(), episodes=1, out=tmp_path, ray="auto", workers=0).workers == 0
-
-
-def test_one_does_not_watch_on_a_cluster(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(["collect", "PickCuboid", "--ray", "--viewer", "--out", str(tmp_path)])
-    assert end.value.code == 1
-    assert "--viewer without --ray" in capsys.readouterr().err
-
-
-def test_usage_in_words_counts_workers_and_machines() -> None:
-    assert str(ClusterUsage(workers=2, machines={"a"})) == "2 on 1 machine"
-    assert str(ClusterUsage(workers=8, machines={"a", "b"})) == "8 on 2 machines"
 
 
 def test_an_address_of_ray_client_is_refused() -> None:
     with (
-        pytest.raises(InvalidSetup, match=r"ray://there:10001.*valid is 'local', 'auto'"),
-        connected("ray://there:10001", cpus=1),
+        pytest.raises(InvalidSetup, match=r"ray://there:10001.*valid is 'auto'"),
+        connected("ray://there:10001"),
     ):
         pass
 
@@ -78,6 +64,6 @@ def test_an_address_of_ray_client_is_refused() -> None:
 def test_an_address_without_a_cluster_says_what_to_do() -> None:
     with (
         pytest.raises(Exception, match=r"Could not connect .*`ray start --head` starts one"),
-        connected("auto", cpus=1),
+        connected("auto"),
     ):
         pass

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetWriter, compare_steps, edit, recover
-from rcs_data.compact import publish, seal
 from rcs_data.edit import Part, mix
-from rcs_data.journal import Journal
-from rcs_data.layout import open_folder
+from rcs_data.files.layout import open_folder
+from rcs_data.index.index import Index
+from rcs_data.record.compact import publish, seal
 
 import rcs
 from rcs.errors import DatasetError, InvalidSetup, RcsError
@@ -91,7 +91,7 @@ def fragment(path: Path, number: int, rows: int, name: str = "") -> None:
         opened = open_folder(path, about["id"])
         opened.mkdir()
         seal(opened, whole.info, pieces, about)
-        publish(Journal(path), about["id"])
+        publish(Index(path), about["id"])
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -110,7 +110,7 @@ def test_collections_killed_and_recovered_end_as_one_that_was_not(dataset: Path,
     for seconds in (0.0, 0.7):
         with subprocess.Popen([sys.executable, "-c", COLLECT, str(path)]) as process:
             deadline = time.monotonic() + 60
-            while not list((path / "episodes").glob(".open-*/rows.arrows")):
+            while not list((path / "open").glob("*/rows.arrows")):
                 assert time.monotonic() < deadline and process.poll() is None
                 time.sleep(0.01)
             time.sleep(seconds)

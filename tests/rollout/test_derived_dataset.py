@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,18 +16,16 @@ import rcs
 from rcs.envs.spaces import join_robots, robot_prefixes, split_by_robot
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
-from rcs.rollout.real_to_sim import real_to_sim
 from rcs.rollout.recorded_setup import setup_of
 from rcs.rollout.reexecute import reexecute
 from rcs.rollout.replay import replay
-from rcs.rollout.replay_scene import Appearance
 from rcs.rollout.rerender import rerender
 from rcs.sim.camera import SimCameras
 
 REPLAYS: dict[str, Callable[..., Iterator[Any]]] = {
     "render": rerender,
     "actions": reexecute,
-    "states": partial(real_to_sim, keep="all"),
+    "states": partial(reexecute, follow="states"),
 }
 
 
@@ -58,7 +57,7 @@ def test_a_mix_of_different_setups_is_refused_with_what_differs(dataset: Path, t
     other = recorded(tmp_path / "other", physics_step=0.001)
     mixed = mix([Part(path=dataset), Part(path=other)], tmp_path / "mixed")
     with pytest.raises(InvalidSetup, match="physics_step"):
-        list(real_to_sim(mixed.path, tmp_path / "out"))
+        list(reexecute(mixed.path, tmp_path / "out", follow="states"))
 
 
 @pytest.mark.gl
@@ -84,8 +83,8 @@ def test_only_frames_that_are_due_are_drawn(dataset: Path, tmp_path: Path, monke
         return draw(self, names, copies)
 
     monkeypatch.setattr(SimCameras, "read", watch)
-    appearance = Appearance(cameras=("side",), image_size=32, camera_fps=15.0)
-    list(rerender(dataset, tmp_path / "out", appearance=appearance))
+    setup = replace(setup_of(Dataset.open(dataset)), cameras=rcs.Cameras("side", image_size=32, fps=15.0))
+    list(rerender(dataset, tmp_path / "out", setup=setup))
     episodes = Dataset.open(tmp_path / "out").episodes
     assert len(drawn) == sum((episode.length + 1) // 2 for episode in episodes)
     assert len(drawn) == sum(int((episode.column("flags/frames/side") == 0).sum()) for episode in episodes)

@@ -8,11 +8,11 @@ import pytest
 from rcs_data import Dataset, DatasetWriter
 
 import rcs
-from rcs.agents import Agent
+from rcs.agents import Agent, PickExpert
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup
-from rcs.rollout.episode import run_episode
+from rcs.rollout.episode import Answer, play, run_episode
 
 
 class Wait(Agent):
@@ -55,6 +55,26 @@ def test_an_episode_that_a_fault_ends_has_failed_in_simulation_and_is_not_judged
         result = run_episode(env, Wait(env, has_fault=True), seed=0)
         env.close()
         assert (result.success, result.failure, result.steps) == (success, "fault", 3)
+
+
+def test_a_judge_has_the_last_word_and_its_first_tag_is_the_class_of_a_failure() -> None:
+    env = rcs.make("PickCuboid", max_episode_steps=5)
+    for answer, failure in (
+        (Answer(success=False, stages=1, tags=("slip", "late"), words="to the left"), "slip"),
+        (Answer(success=False), "timeout"),
+        (Answer(success=True, tags=("slow",)), None),
+    ):
+        result = run_episode(env, Wait(env), seed=0, judge=lambda observation, info, answer=answer: answer)
+        assert (result.success, result.failure) == (answer.success, failure)
+        assert (result.stages, result.tags, result.words) == (answer.stages, answer.tags, answer.words)
+
+
+def test_stages_are_the_most_that_were_reached() -> None:
+    env = rcs.make("PickCuboid")
+    assert run_episode(env, PickExpert(env), seed=0).stages == 3
+    assert run_episode(env, Wait(env), seed=0, max_steps=5).stages == 0
+    with rcs.make("Free", max_episode_steps=5) as free:
+        assert run_episode(free, Wait(free), seed=0).stages is None
 
 
 class Slow(Wait):
@@ -112,14 +132,14 @@ def test_a_judge_sees_the_last_observation_and_takes_the_place_of_the_task() -> 
     assert run_episode(env, Wait(env), seed=0, judge=lambda observation, info: None).success is None
 
 
-def test_most_steps_and_options_are_kept_and_every_step_is_told() -> None:
+def test_most_steps_and_options_are_kept_and_every_step_is_yielded() -> None:
     env = rcs.make("PickCuboid", max_episode_steps=None)
-    told: list[int] = []
     joints = np.array(env.robots["fr3"].arm.home) + 0.1
     start = {"robot": {"joints": joints}}
-    result = run_episode(env, Wait(env), seed=0, options=start, max_steps=4, on_step=lambda: told.append(len(told)))
-    assert result.steps == 4
-    assert len(told) == 5, "after the reset, too"
+    steps = list(play(env, Wait(env), seed=0, options=start, max_steps=4))
+    assert [step.row for step in steps] == [0, 1, 2, 3, 4], "the reset, too"
+    assert [step.is_over for step in steps] == [False] * 4 + [True]
+    assert run_episode(env, Wait(env), seed=0, options=start, max_steps=4).reward == steps[-1].reward
     with pytest.raises(InvalidSetup, match="max_steps is 0"):
         run_episode(env, Wait(env), max_steps=0)
 
@@ -139,4 +159,21 @@ def test_all_devices_hold_when_the_agent_breaks_the_episode_off(error: type[Base
         run_episode(env, Fails(env))
     robot = env.simulation.robots[0]
     np.testing.assert_array_equal(robot.joint_targets, robot.joints)  # and not on the way to the last target
+    env.close()
+
+
+def test_all_devices_hold_when_a_caller_stops_early() -> None:
+    class Goes(Wait):
+        def act(self, observation: Any, info: Any) -> Any:
+            action = super().act(observation, info)
+            action["joints"][0] += 0.5
+            return action
+
+    env = rcs.make("Free", relative=False)
+    steps = play(env, Goes(env))
+    for step in steps:
+        if step.row == 2:
+            steps.close()
+    robot = env.simulation.robots[0]
+    np.testing.assert_array_equal(robot.joint_targets, robot.joints)
     env.close()

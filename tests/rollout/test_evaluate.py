@@ -1,19 +1,31 @@
-"""Evaluations: the same starts for everyone, figures, and videos of the first episodes."""
+"""Evaluations: the same starts for everyone, a ledger from which they go on, and films of the episodes in it."""
 
 from __future__ import annotations
 
-import json
+import dataclasses
+import inspect
+import subprocess
+import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rcs_data.verdicts import wilson_interval
+from rcs_data.ledger import Ledger, Row
+from rcs_data.ledger.row import TIMES
+from rcs_data.read.verdicts import wilson_interval
 
 import rcs
 from rcs.agents import Agent
-from rcs.errors import InvalidSetup, UnknownName, WrongOrder
-from rcs.rollout.collect import seed_of
-from rcs.rollout.evaluate import Evaluation, Summary, evaluate
+from rcs.agents.identity import identity_of
+from rcs.errors import InvalidSetup, RcsError, UnknownName, WrongOrder
+from rcs.rollout.collect import Attempt, seed_of
+from rcs.rollout.episode import EpisodeResult
+from rcs.rollout.evaluate import Evaluator, evaluate, film
+from rcs.rollout.evaluation import UNSEEN, Evaluation, Summary
+from rcs.rollout.logbook import Logbook, condition_of, differs
+from rcs.setups import labs
 
 SETUP = rcs.Setup(task="PickCuboid", max_episode_steps=4)
 """Episodes that end before anything is picked."""
@@ -51,14 +63,14 @@ def test_the_expert_succeeds_and_who_stays_does_not() -> None:
 
 def test_episodes_depend_on_the_seed_and_their_number_alone() -> None:
     one, many = run(seed=5), run(seed=5, workers=2)
-    assert one.to_json() == many.to_json()
-    assert [result.seed for result in one.results] == [seed_of(5, number) for number in range(3)]
+    assert one.results == many.results
+    assert [result.seed for result in one.results] == [UNSEEN + seed_of(5, number) for number in range(3)]
     assert {result.seed for result in run(seed=6).results}.isdisjoint(result.seed for result in one.results)
 
 
 def test_where_nobody_judges_nothing_is_counted() -> None:
     free = run(setup=rcs.Setup(task="Free", max_episode_steps=2))
-    assert (free.judged, free.to_json()["success_rate"], dict(free.failures)) == (0, None, {})
+    assert (free.judged, dict(free.failures)) == (0, {})
     assert free.interval == (0.0, 1.0)
 
 
@@ -93,32 +105,225 @@ def test_an_unknown_agent_leaves_no_environment_open() -> None:
         env.reset()
 
 
-@pytest.mark.parametrize("field", ["episodes", "seed", "workers", "videos"])
+@pytest.mark.parametrize("field", ["episodes", "seed", "workers", "repeat"])
 @pytest.mark.parametrize("value", [-1, 1.5, True])
 def test_numbers_that_make_no_sense_are_refused(field: str, value: Any) -> None:
     with pytest.raises(InvalidSetup, match=f"{field} is"):
         Evaluation(**{"setup": SETUP, field: value})
 
 
-def test_the_file_says_what_was_evaluated_and_how_every_episode_went(tmp_path: Path) -> None:
-    evaluation = Evaluation(setup=SETUP, agent=Stay, episodes=2, out=tmp_path / "new" / "folder")
+def rows_of(folder: Path) -> list[tuple[Any, ...]]:
+    """Return all that the rows of a ledger say, besides times."""
+    rows = sorted(Ledger(folder).rows.values(), key=lambda row: row.name)
+    return [tuple(getattr(row, name) for name in Row.__struct_fields__ if name not in TIMES) for row in rows]
+
+
+def test_the_ledger_says_what_was_evaluated_and_how_every_episode_went(tmp_path: Path) -> None:
+    run(episodes=2, out=tmp_path / "new" / "folder", tags={"mix": "half"})
+    ledger = Ledger(tmp_path / "new" / "folder")
+    (condition,) = ledger.conditions.values()
+    assert rcs.Setup.from_json({**condition.setup}) == SETUP
+    assert condition.agent == f"{__name__}:Stay"
+    assert condition.code.keys() == {"rcs", __name__}
+    assert condition.tags == {"mix": "half"}
+    assert condition.versions["robot-control-stack"] == rcs.__version__
+    assert [(row.failure, row.judge) for row in ledger.rows.values()] == [("timeout", "task")] * 2
+    assert all(row.seconds > 0 for row in ledger.rows.values())
+
+
+CHANGED: dict[str, Any] = {
+    "task": "Push", "task_options": {"lift_height": 0.05}, "reward": "sparse", "discount": 0.9, "robot": "ur5e",
+    "end_effector": "robotiq_2f85", "cameras": "wrist", "tactile": "digit", "render_quality": "full",
+    "assets": "menagerie", "observe": ("contacts",), "collision_reaction": False,
+    "compliance": rcs.Compliance(tcp=(500, 30)), "control": "tquat", "relative": "origin", "native": True,
+    "binary_gripper": False, "at_end": "park", "layers": ("KeepTilt",), "gates": {"Guard": {}}, "frequency": 5.0,
+    "stepping": "realtime", "sync_time_limit": 5.0, "max_episode_steps": 5, "physics_step": 0.001,
+    "randomisation": "default",
+}  # fmt: skip
+"""Another value for every argument of a setup."""
+
+
+def test_a_change_of_any_argument_of_a_setup_changes_the_key() -> None:
+    fields = {own.name for own in dataclasses.fields(rcs.Setup)}  # pyright: ignore[reportArgumentType]
+    assert fields == set(CHANGED), "every argument is changed in this test"
+    usual = {"native": {"control": "tquat"}}
+
+    def hash_of(**options: Any) -> str:
+        evaluation = Evaluation(setup=replace(SETUP, **options), agent="PickExpert")
+        return condition_of(evaluation, identity_of("PickExpert", "PickCuboid")).hash
+
+    hashes = {name: hash_of(**{name: value}, **usual.get(name, {})) for name, value in CHANGED.items()}
+    assert len({*hashes.values(), hash_of()}) == len(CHANGED) + 1
+
+
+def test_the_agent_the_seed_and_code_of_ones_own_are_in_the_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    source = tmp_path / "my_agent.py"
+    words = "from rcs.agents import Agent\n" + inspect.getsource(Stay).replace("Any", "object")
+    source.write_text(f"from __future__ import annotations\n{words}")
+    out = tmp_path / "out"
+    assert len(run(agent="my_agent:Stay", out=out, episodes=1).attempts) == 1
+    again = run(agent="my_agent:Stay", out=out, episodes=1)
+    assert (again.found, len(again.attempts)) == (1, 1)
+    source.write_text(f"{source.read_text()}\n# a change\n")
+    assert run(agent="my_agent:Stay", out=out, episodes=1).found == 0
+    assert run(agent="my_agent:Stay", out=out, episodes=1, seed=1).found == 0
+    assert len(Ledger(out).rows) == 3
+
+
+def test_another_calibration_in_the_same_file_is_another_condition(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    evaluation = Evaluation(setup=replace(SETUP, cameras=rcs.Cameras(("side",), calibration=str(path))))
+    usual = Path(labs.__file__).with_name("fr3_cameras.json").read_text()
+    hashes = set[str]()
+    for text in (usual, f"{usual}\n", usual):
+        path.write_text(text)
+        hashes.add(condition_of(evaluation, identity_of(None, "PickCuboid")).hash)
+    assert len(hashes) == 2
+
+
+def test_a_film_of_an_episode_that_a_person_judged_is_compared_by_what_was_done(tmp_path: Path) -> None:
     summary = Summary()
-    assert len(list(evaluate(evaluation, summary))) == 2
-    told = json.loads(summary.write(evaluation).read_text())
-    assert rcs.Setup.from_json({**told["setup"]}) == SETUP
-    assert told["agent"] == f"{__name__}:Stay"
-    assert [result["failure"] for result in told["results"]] == ["timeout", "timeout"]
-    assert told["versions"]["robot-control-stack"] == rcs.__version__
+    evaluation = Evaluation(setup=SETUP, agent=Stay, episodes=2, out=tmp_path)
+    answers = iter([True, None])
+    list(evaluate(evaluation, summary, env=rcs.make(SETUP), judge=lambda observation, info: next(answers)))
+    judged = list(Ledger(tmp_path).rows.values())
+    assert [row.judge for row in judged] == ["person", "nobody"]
+    again = run().results
+    for row, result in zip(judged, again, strict=False):
+        assert not differs(row, result)
+        assert differs(row, replace(result, steps=result.steps + 1))
+
+
+def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    run(out=whole, episodes=5)
+    summary = Summary()
+    evaluation = Evaluation(setup=SETUP, agent=Stay, episodes=5, out=parts)
+    for _ in evaluate(evaluation, summary):
+        summary.is_interrupted = len(summary.attempts) == 2
+    assert len(Ledger(parts).rows) == 2
+    summary = Summary()
+    assert len(list(evaluate(evaluation, summary))) == 3
+    assert (summary.found, len(summary.results)) == (2, 5)
+    assert rows_of(parts) == rows_of(whole)
+
+
+def test_repetitions_are_run_and_counted_apart(tmp_path: Path) -> None:
+    run(out=tmp_path, episodes=2)
+    summary = run(out=tmp_path, episodes=2, repeat=2)
+    assert (summary.found, len(summary.attempts)) == (2, 6)
+    ledger = Ledger(tmp_path)
+    assert [row.repeat for row in ledger.rows.values()] == [0, 0, 1, 1, 2, 2]
+    assert len({row.seed for row in ledger.rows.values()}) == 2
+
+
+@pytest.mark.slow
+def test_two_agents_and_four_processes_lose_and_overwrite_nothing(tmp_path: Path) -> None:
+    together = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from pathlib import Path
+from test_evaluate import SETUP, Stay
+from rcs.rollout import Evaluation, evaluate
+name, out = sys.argv[1], Path({str(tmp_path / "together")!r})
+agent = Stay if name == "idle" else "PickExpert"
+list(evaluate(Evaluation(setup=SETUP, agent=agent, episodes=12, out=out, name=name)))
+"""
+    processes = [
+        subprocess.Popen([sys.executable, "-c", together, name]) for name in ("idle", "expert", "idle", "expert")
+    ]
+    assert [process.wait(120) for process in processes] == [0] * 4
+    ledger = Ledger(tmp_path / "together")
+    assert ledger.damage == []
+    assert len(ledger.rows) == 24
+    for name in ("idle", "expert"):
+        assert len({row.seed for row in ledger.of(ledger.find(name))}) == 12
+
+
+class Fickle(Stay):
+    """Has other weights from its third episode on."""
+
+    episodes = 0
+
+    def reset(self, observation: Any, info: Any) -> None:
+        self.episodes += 1
+
+    @property
+    def weights(self) -> str:
+        return "new" if self.episodes > 2 else "old"
+
+
+def test_weights_that_change_end_the_evaluation(tmp_path: Path) -> None:
+    env = rcs.make(SETUP)
+    summary = Summary()
+    with pytest.raises(RcsError, match=r"weights of Fickle changed .* from old to new\. Episode 2 is left out"):
+        list(evaluate(Evaluation(setup=SETUP, agent=Fickle(env), out=tmp_path), summary, env=env))
+    assert [row.weights for row in Ledger(tmp_path).rows.values()] == ["old", "old"]
+    assert len(summary.attempts) == 2
+
+
+@pytest.mark.parametrize(
+    "options", [{"until": 0.05}, {"against": "a"}, {"until": 2.0, "against": "a", "out": Path("x")}]
+)
+def test_an_early_end_needs_a_level_another_agent_and_a_ledger(options: Any) -> None:
+    with pytest.raises(InvalidSetup, match="until"):
+        Evaluation(setup=SETUP, **options)
+
+
+def test_only_episodes_before_the_first_that_runs_decide(tmp_path: Path) -> None:
+    run(out=tmp_path, episodes=8, agent=None, setup=rcs.Setup(task="PickCuboid", max_episode_steps=150))
+    evaluation = Evaluation(
+        setup=SETUP, agent=Stay, episodes=8, out=tmp_path, against="PickExpert", until=0.05, name="idle"
+    )
+    identity = identity_of(Stay, "PickCuboid")
+    with Logbook(evaluation, identity, condition_of(evaluation, identity)) as book:
+        failed = EpisodeResult(seed=0, steps=4, success=False, failure="timeout", reward=0.0)
+        summary = Summary(attempts=[Attempt(number=number, result=failed) for number in range(1, 8)])
+        assert not book.is_decided(summary), "episode 0 may still succeed"
+        summary.attempts.append(Attempt(number=0, result=failed))
+        assert book.is_decided(summary)
+        assert book.pairs.only_b == 7
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("workers", [1, 2])
-def test_there_are_as_many_videos_as_were_asked_for(tmp_path: Path, workers: int) -> None:
-    run(videos=2, workers=workers, out=tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["000000.mp4", "000001.mp4"]
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_failures_are_filmed_first_and_end_as_they_did(tmp_path: Path, workers: int) -> None:
+    setup = rcs.Setup(task="PickCuboid", max_episode_steps=88)  # enough for some of the episodes
+    evaluation = Evaluation(setup=setup, episodes=4, workers=workers, out=tmp_path)
+    list(evaluate(evaluation))
+    verdicts = [row.success for row in Ledger(tmp_path).rows.values()]
+    most = verdicts.count(False) + 1
+    made = list(film(evaluation, most))
+    assert len(made) == min(most, 4)
+    assert not any(differs(row, result) for row, result in made)
+    filmed = [row.success for row in Ledger(tmp_path).rows.values() if Ledger(tmp_path).film(row).is_file()]
+    assert filmed.count(False) == verdicts.count(False)
+    assert sorted(path.suffix for path in (tmp_path / "films").iterdir()) == [".mp4"] * len(made)
+    assert list(film(evaluation, most)) == [], "films that are there are not made again"
 
 
-def test_real_devices_alone_have_no_video(tmp_path: Path) -> None:
+class Dice(Stay):
+    """Acts otherwise in every process."""
+
+    def act(self, observation: Any, info: Any) -> Any:
+        self._action["joints"][:] = 0.01 * ((time.time_ns() % 7) - 3)
+        return self._action
+
+
+@pytest.mark.gl
+def test_a_film_of_another_outcome_is_told_and_removed(tmp_path: Path) -> None:
+    evaluation = Evaluation(setup=SETUP, agent=Dice, episodes=2, out=tmp_path)
+    list(evaluate(evaluation))
+    made = list(film(evaluation, 2))
+    different = [row for row, result in made if differs(row, result)]
+    assert different, "its reward differs"
+    assert not any(Ledger(tmp_path).film(row).exists() for row in different)
+
+
+def test_real_devices_alone_have_no_film(tmp_path: Path) -> None:
     env = rcs.make("Free", hardware="fake")
     with pytest.raises(InvalidSetup, match="no picture to film"):
-        next(evaluate(Evaluation(setup=env.setup, agent=Stay, videos=1, out=tmp_path), env=env))
+        Evaluator(Evaluation(setup=env.setup, agent=Stay), films=tmp_path, env=env)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,23 @@ import pytest
 
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.pool import WorkerPool
+
+
+@dataclass(frozen=True)
+class Sleeper:
+    """Makes a worker that is killed by 1, and needs half a minute for anything else."""
+
+    def __call__(self) -> Sleeper:
+        return self
+
+    def attempt(self, number: int) -> int:
+        if number == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(30.0)
+        return number
+
+    def close(self) -> None:
+        """Nothing to release."""
 
 
 @dataclass(frozen=True)
@@ -64,3 +82,14 @@ def test_a_worker_that_cannot_be_made_says_why(tmp_path: Path) -> None:
 def test_a_worker_that_dies_ends_the_work_with_an_error(tmp_path: Path) -> None:
     with WorkerPool(Squares(tmp_path), 2) as pool, pytest.raises(RcsError, match="died"):
         list(pool.map(iter([1, -1, 2, 3])))
+
+
+def test_a_death_is_noticed_while_the_other_workers_are_still_at_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    began = time.monotonic()
+    with WorkerPool(Sleeper(), 2) as pool:
+        # The executor waits for the deaths of those processes that it had when it began to wait: without the second.
+        start = pool._pool._adjust_process_count
+        monkeypatch.setattr(pool._pool, "_adjust_process_count", lambda: (time.sleep(0.3), start()))
+        with pytest.raises(RcsError, match=r"died.*resume"):
+            list(pool.map(iter([0, 1])))
+    assert time.monotonic() - began < 25.0

@@ -19,9 +19,9 @@ from rcs.envs import Action, Observation
 from rcs.errors import DeviceFault, InvalidSetup, Refused
 from rcs.hardware import FakeDriver, Site
 from rcs.robots.description import ArmDescription
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 from rcs.rollout.collect import Collection, Progress, collect
-from rcs.rollout.operator import VirtualOperator, operator_of
+from rcs.rollout.supervisor import VirtualSupervisor, supervisor_of
 from rcs.virtual import VirtualProcess
 
 HOME = np.array(FR3.home)
@@ -194,7 +194,7 @@ def test_an_episode_that_nobody_could_judge_does_not_count(tmp_path: Path, say) 
 
 
 def test_more_than_one_process_is_refused(tmp_path: Path) -> None:
-    for changes in ({"workers": 2}, {"ray": "local"}):
+    for changes in ({"workers": 2}, {"ray": "auto"}):
         with pytest.raises(InvalidSetup, match="one process of this machine"):
             plan(tmp_path, **changes)
 
@@ -225,23 +225,30 @@ def virtual() -> Iterator[VirtualProcess]:
 
 
 def test_the_virtual_robot_at_a_sites_address_places_its_objects_and_judges(virtual: VirtualProcess) -> None:
-    operator = operator_of(rcs.Setup(robot="so101"), virtual.site)
-    assert isinstance(operator, VirtualOperator)
-    assert operator.name == virtual.name
-    assert operator.may_move("?")
-    assert operator.may_recover("a fault of yesterday")
-    operator.place(5, {})
-    assert not operator.may_recover("a fault of today")
-    assert operator.judge({}, {}) is False
+    supervisor = supervisor_of(rcs.Setup(robot="so101"), virtual.site)
+    assert isinstance(supervisor, VirtualSupervisor)
+    assert supervisor.name == virtual.name
+    assert supervisor.may_move("?")
+    assert supervisor.may_recover("a fault of yesterday")
+    supervisor.place(5, {})
+    assert not supervisor.may_recover("a fault of today")
+    with rcs.make("PickCuboid", robot="so101") as env:
+        env.reset(seed=5)
+        placed = env.simulation.object_poses()["cuboid"]
+    seen = supervisor.look({"cuboid": placed + 0.1})
+    np.testing.assert_allclose(seen["cuboid"], placed, atol=1e-3)  # it is measured, not believed
+    assert supervisor.judge({}, {}) is False
+    carried = rcs.Setup(robot="so101", task_options={"placed_by": "robot"})
+    assert isinstance(supervisor_of(carried, virtual.site), VirtualSupervisor)
 
 
 def test_elsewhere_it_is_the_person(virtual: VirtualProcess) -> None:
     setup = rcs.Setup(robot="so101")
-    assert not isinstance(operator_of(setup, "so101:/dev/ttyACM77"), VirtualOperator)
-    assert not isinstance(operator_of(setup, "fake"), VirtualOperator)
+    assert not isinstance(supervisor_of(setup, "so101:/dev/ttyACM77"), VirtualSupervisor)
+    assert not isinstance(supervisor_of(setup, "fake"), VirtualSupervisor)
 
 
 def test_a_virtual_robot_with_the_scene_of_another_task_is_refused(virtual: VirtualProcess) -> None:
     for setup in (rcs.Setup(task="Place", robot="so101"), rcs.Setup(robot="so101", task_options={"pose": "flat"})):
         with pytest.raises(InvalidSetup, match="has the scene of PickCuboid, not of"):
-            operator_of(setup, virtual.site)
+            supervisor_of(setup, virtual.site)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,8 @@ from rcs_data.edit import merge, resample
 import rcs
 from rcs.errors import DatasetError, InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
-from rcs.rollout.reexecute import Poses, ReexecutionResult, deviation, reexecute
+from rcs.rollout.reexecute import ReexecutionResult, deviation, reexecute
 from rcs.rollout.replay import replay
-from rcs.rollout.replay_scene import Appearance
 
 
 def recorded(out: Path, seed: int = 1, **options: Any) -> Path:
@@ -57,12 +55,12 @@ def test_two_arms_are_executed_again_both(tmp_path: Path) -> None:
 
 def test_each_deviation_is_measured_where_it_is() -> None:
     poses = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
-    one = Poses(joints=np.zeros(3), tcps=poses, objects=poses)
+    one = {"joints": np.zeros(3), "tcps": poses, "objects": poses}
     tcps, objects = poses + [0, 0.02, 0, 0, 0, 0, 0], np.array([[0, 0, 0, 0, 0, np.sin(0.1), np.cos(0.1)]])
-    found = deviation(one, Poses(joints=np.array([0.0, -0.3, 0.1]), tcps=tcps, objects=objects))
+    found = deviation(one, {"joints": np.array([0.0, -0.3, 0.1]), "tcps": tcps, "objects": objects})
     expected = {"joints": 0.3, "position": 0.02, "rotation": 0.0, "object_position": 0.0, "object_rotation": 0.2}
     assert found == pytest.approx(expected, abs=1e-12)
-    empty = replace(one, objects=np.empty((0, 7)))
+    empty = {**one, "objects": np.empty((0, 7))}
     assert deviation(empty, empty) == {"joints": 0.0, "position": 0.0, "rotation": 0.0}
 
 
@@ -89,7 +87,7 @@ def test_randomised_episodes_are_executed_in_their_own_worlds(tmp_path: Path) ->
 @pytest.mark.gl
 def test_frames_are_drawn_of_what_is_executed(dataset: Path, tmp_path: Path) -> None:
     # A camera on the wrist has a mass, so the arm moves a little differently with it.
-    run(source=dataset, out=tmp_path / "out", appearance=Appearance(cameras=("side",), image_size=32))
+    run(source=dataset, out=tmp_path / "out", setup=rcs.Setup(cameras=rcs.Cameras("side", image_size=32)))
     frames = Dataset.open(tmp_path / "out").episodes[0].column("observation/frames/side/rgb")
     assert frames.shape[1:] == (32, 32, 3)
     assert np.ptp(frames.astype(int), axis=0).max() > 50  # something moves

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import av
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 import rcs
 from rcs.errors import InvalidSetup
-from rcs.rollout.video import Video, film
+from rcs.rollout.video import Film, Video
 
 
 def pictures(path: Path) -> list[NDArray[np.uint8]]:
@@ -45,7 +46,7 @@ def test_without_a_picture_there_is_no_file(tmp_path: Path) -> None:
 @pytest.mark.gl
 def test_a_film_has_a_picture_per_reset_and_step_and_ends_with_its_block(tmp_path: Path) -> None:
     env = rcs.make("PickCuboid", frequency=20.0)
-    with film(env, tmp_path / "f.mp4", size=(64, 48)):
+    with closing(Film(env, size=(64, 48))) as film, film.into(tmp_path / "f.mp4"):
         env.reset(seed=0)
         for _ in range(5):
             env.step(env.action_space.sample())
@@ -92,5 +93,8 @@ def test_where_there_is_a_display_the_human_mode_opens_a_window_and_closes_it() 
 
 
 def test_real_devices_alone_cannot_be_filmed(tmp_path: Path) -> None:
-    with pytest.raises(InvalidSetup, match="no picture to film"), film(rcs.make("Free", hardware="fake"), tmp_path):
+    with (
+        pytest.raises(InvalidSetup, match="no picture to film"),
+        Film(rcs.make("Free", hardware="fake")).into(tmp_path),
+    ):
         pass

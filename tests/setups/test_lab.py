@@ -11,7 +11,7 @@ import rcs
 from rcs.devices import lookup
 from rcs.envs.task import Area
 from rcs.errors import InvalidSetup, UnknownName
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 from rcs.robots.mount import Mount, Obstacle
 from rcs.setups.ids import ids
 from rcs.setups.lab import Lab, Stand, lab_of, looking, plain_lab

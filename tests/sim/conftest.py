@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import pytest
 
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 from rcs.sim import RobotPlacement, Scene, World
 from rcs.sim.robot import SimRobot
 

@@ -12,12 +12,12 @@ import viser
 import rcs
 from rcs.errors import InvalidSetup
 from rcs.rollout.interactive.page import start_server
-from rcs.sim.browser_scene import BrowserScene
+from rcs.sim.browser_scene import DISTANCE, BrowserScene
 
 
 @pytest.fixture
 def server() -> Iterator[viser.ViserServer]:
-    server = start_server("127.0.0.1", 0)
+    server = start_server()
     yield server
     server.stop()
 
@@ -115,3 +115,15 @@ def test_many_copies_are_refused(server: viser.ViserServer) -> None:
     with pytest.raises(InvalidSetup, match="one copy"):
         BrowserScene(server, envs.simulation.world, [])
     envs.close()
+
+
+def test_arms_are_looked_at_from_as_much_farther_as_they_stand_apart(server: viser.ViserServer) -> None:
+    far: list[float] = []
+    for task, robot in (("PickCuboid", "fr3"), ("LiftBar", "dual_fr3")):
+        with rcs.make(task, robot=robot) as env:
+            BrowserScene(server, env.simulation.world, list(env.robots.values())).remove()
+            bases = np.array([one.base_in_scene.translation for one in env.robots.values()])
+        start = server.initial_camera
+        far.append(float(np.linalg.norm(np.subtract(start.position, start.look_at))))
+    assert np.ptp(bases, axis=0).max() > 0.3
+    assert far[1] - far[0] == pytest.approx(DISTANCE * np.ptp(bases, axis=0).max() / 2, rel=1e-3)

@@ -8,8 +8,8 @@ import pytest
 
 import rcs
 from rcs.errors import InvalidSetup
+from rcs.robots.cameras import REALSENSE_D435
 from rcs.robots.description import Mount
-from rcs.robots.realsense_d435.description import REALSENSE_D435
 from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
 from rcs.sim.camera import SimCameras
 from rcs.sim.viewer import Picture

@@ -8,12 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from rcs.robots.cameras import REALSENSE_D435
 from rcs.robots.description import Mount
-from rcs.robots.realsense_d435.description import REALSENSE_D435
 from rcs.sim import CameraPlacement, World
 from rcs.sim.camera import SimCameras
-from rcs.sim.camera_feed import CameraFeed
-from rcs.sim.frame_clock import FrameClock, FrameRate
+from rcs.sim.camera_feed import CameraFeed, FrameClock, FrameRate
 from rcs.sim.scene import Scene
 from rcs.sim.world import Copies
 

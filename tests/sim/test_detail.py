@@ -21,8 +21,8 @@ from rcs.devices import lookup
 from rcs.errors import InvalidSetup
 from rcs.kinematics import load
 from rcs.robots.description import ArmDescription, GripperDescription, MenagerieBody, MenagerieVisuals, Mount
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.replay import replay
 from rcs.sim import RobotPlacement, Scene

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
-from rcs.robots.usb_webcam.description import USB_WEBCAM
+from rcs.robots.cameras import USB_WEBCAM
 from rcs.sim import World
-from rcs.sim.frame_clock import FrameClock, FrameRate
+from rcs.sim.camera_feed import FrameClock, FrameRate
 from rcs.sim.world import Stepping
 
 MODEL = mujoco.MjModel.from_xml_string("<mujoco><option timestep='0.002'/></mujoco>")
@@ -122,7 +122,7 @@ def test_the_intervals_of_a_webcam_follow_from_key_and_name_in_any_copy() -> Non
 
 
 def test_a_webcam_that_is_slow_enough_for_its_exposure_keeps_its_rate() -> None:
-    rate = FrameRate.of(USB_WEBCAM, (640, 480), 15)
+    rate = FrameRate(fps=15, longest_exposure=USB_WEBCAM.longest_exposure)
     world = World(MODEL, frequency=60.0)
     clock = FrameClock(world, {"eye": rate})
     assert not rate.is_rolling

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rcs.robots.digit.description import DIGIT
+from rcs.robots.tactile import DIGIT
 from rcs.sim.gel import Gel, GelLight
 
 GEL = Gel(DIGIT)

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.robots.realsense_d405.description import REALSENSE_D405
-from rcs.robots.realsense_d435.description import REALSENSE_D435
-from rcs.robots.usb_webcam.description import USB_WEBCAM
+from rcs.robots.cameras import REALSENSE_D405, REALSENSE_D435, USB_WEBCAM
 from rcs.sim.noise import COLOUR_DEVIATION, SUBPIXEL, CameraNoise, nearest_depth
 from rcs.testing.env_contract import require_same_bits
 

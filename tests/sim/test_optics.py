@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from rcs.errors import InvalidSetup
-from rcs.robots.calibration import CameraCalibration
+from rcs.robots.camera import Calibration
+from rcs.robots.cameras import PINHOLE
 from rcs.robots.description import Mount
-from rcs.robots.pinhole.description import PINHOLE
 from rcs.sim import CameraPlacement, Scene, World
 from rcs.sim.camera import SimCameras
 from rcs.spatial import Intrinsics, deproject, distort
@@ -49,7 +49,7 @@ def look(intrinsics: Intrinsics | None, size: tuple[int, int], *, fovy: float = 
             pos=[x, y, 0],
             rgba=[1, 1, 1, 1],
         )
-    calibration = None if intrinsics is None else CameraCalibration(intrinsics=intrinsics)
+    calibration = None if intrinsics is None else Calibration(intrinsics=intrinsics)
     eye = replace(EYE, calibration=calibration)
     scene.add_camera(eye)
     model = scene.compile()

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from rcs.errors import InvalidSetup, SimulationError
+from rcs.robots.cameras import REALSENSE_D435
 from rcs.robots.description import Mount
-from rcs.robots.realsense_d435.description import REALSENSE_D435
 from rcs.sim import CameraPlacement, World
 from rcs.sim.camera import FrameArrays, SimCameras, Snapshot
-from rcs.sim.camera_feed import RenderThread
-from rcs.sim.frame_clock import FrameClock, FrameRate
+from rcs.sim.camera_feed import FrameClock, FrameRate, RenderThread
 from rcs.sim.scene import Scene
 
 pytestmark = pytest.mark.gl

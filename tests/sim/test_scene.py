@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from rcs.errors import InvalidSetup
+from rcs.robots.cameras import REALSENSE_D405
 from rcs.robots.description import Mount
-from rcs.robots.fr3.description import FR3
-from rcs.robots.realsense_d405.description import REALSENSE_D405
+from rcs.robots.fr3 import FR3
 from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
 from rcs.sim.robot import RobotLayout, SimRobot
 

@@ -145,7 +145,7 @@ def test_recordings_have_segmentation_bit_for_bit_and_its_names(tmp_path: Path) 
         seen.append(env.reset(seed=0)[0])
         for _ in range(4):
             seen.append(env.step({"joints": np.full(7, 0.02), "gripper": np.ones(1, np.float32)})[0])
-        takes.stop(None)
+        takes.finish(None)
     about = env.stack.about
     env.close()
     dataset = Dataset.open(tmp_path / "takes")

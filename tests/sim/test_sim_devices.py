@@ -12,7 +12,7 @@ from rcs._core import ArmLimits, GripperMap, Motion, MotionLimits, SimArm, SimGr
 from rcs.devices import Arm, Gripper
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 from rcs.sim import RobotPlacement, Scene, World
 from rcs.sim.robot import SimRobot
 from rcs.testing import ArmContract, GripperContract
@@ -35,7 +35,7 @@ class TestSimArm(ArmContract):
         yield
         self.__dict__.clear()  # pytest keeps test objects to the end, and with them the world
 
-    def make_arm(self) -> Arm:
+    def make_device(self) -> Arm:
         self.robot = at_home(self.lab, self.placement, self.copies)
         return self.robot.arm(self.robot.world.copies - 1)
 
@@ -57,7 +57,7 @@ class TestSimGripper(GripperContract):
         yield
         self.__dict__.clear()  # pytest keeps test objects to the end, and with them the world
 
-    def make_gripper(self) -> Gripper:
+    def make_device(self) -> Gripper:
         self.robot = at_home(self.lab, self.placement, self.copies)
         return self.robot.gripper_device(self.robot.world.copies - 1)
 
@@ -134,7 +134,7 @@ def test_ids_that_are_not_in_the_world_are_refused(robot: SimRobot) -> None:
     ):
         with pytest.raises(InvalidSetup):
             SimArm("arm", *arguments)
-    fingers, actuator = ids.finger_joint_ids, ids.finger_actuator
+    fingers, actuator = ids.finger_joint_ids, ids.finger_actuator_ids[0]
     for joints, number, mapping in (
         ([], actuator, GripperMap(0.0, 0.04, 0.0, 1.0)),
         (fingers, 99, GripperMap(0.0, 0.04, 0.0, 1.0)),

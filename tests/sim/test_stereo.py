@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rcs import _core
-from rcs.robots.realsense_d435.description import REALSENSE_D435
+from rcs.robots.cameras import REALSENSE_D435
 from rcs.sim.noise import DARK, STEEP_LOSS, STEEPEST, measure_depth
 
 HEIGHT, WIDTH = 120, 320

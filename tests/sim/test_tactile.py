@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
 from rcs.robots.description import Mount
-from rcs.robots.digit.description import DIGIT
+from rcs.robots.tactile import DIGIT
 from rcs.sim import Scene, World
 from rcs.sim.gel import Gel
 from rcs.sim.tactile import SimTactile

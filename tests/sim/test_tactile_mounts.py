@@ -1,4 +1,4 @@
-"""DIGITs on every gripper's pads and on the fingertips of a hand."""
+"""DIGITs on every gripper's pads."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ import pytest
 from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
-from rcs.robots.digit.description import DIGIT
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
-from rcs.robots.robotiq_2f85.description import ROBOTIQ_2F85
-from rcs.robots.so101.description import SO101
-from rcs.robots.so101_gripper.description import SO101_GRIPPER
-from rcs.robots.tilburg_hand.description import TILBURG_HAND
-from rcs.robots.ur5e.description import UR5E
-from rcs.robots.xarm7.description import XARM7
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
+from rcs.robots.robotiq_2f85 import ROBOTIQ_2F85
+from rcs.robots.so101 import SO101, SO101_GRIPPER
+from rcs.robots.tactile import DIGIT
+from rcs.robots.tilburg_hand import TILBURG_HAND
+from rcs.robots.ur5e import UR5E
+from rcs.robots.xarm7 import XARM7
 from rcs.sim import RobotPlacement, Scene, World
 from rcs.sim.gel import Gel
 from rcs.sim.robot import SimRobot
 from rcs.sim.tactile import SimTactile
-from rcs.sim.tactile_mounts import on_fingertips, on_pads
+from rcs.sim.tactile_mounts import on_pads
 
 ROBOTS = {
     "franka_hand": RobotPlacement(name="fr3", arm=FR3, gripper=FRANKA_HAND),
@@ -211,47 +210,3 @@ def test_a_gripper_whose_fingers_are_the_other_way_round_is_refused() -> None:
 def test_a_robot_without_a_gripper_has_no_pads(robot: RobotPlacement, carried: str) -> None:
     with pytest.raises(InvalidSetup, match=carried):
         on_pads(robot, DIGIT)
-
-
-def test_fingertips_of_a_hand_face_the_way_they_bend_and_feel_what_is_pressed_into_them() -> None:
-    scene = Scene.empty()
-    scene.add_robot(WITH_HAND)
-    placements = on_fingertips(WITH_HAND, DIGIT, ("thumb", "index"))
-    for placement in placements:
-        scene.add_tactile(placement)
-    ball = scene.spec.worldbody.add_body(name="ball", pos=[0.0, 0.0, 3.0])
-    ball.add_freejoint(name="ball")
-    ball.add_geom(name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0.0, 0.0], mass=0.01)
-    world = World(scene.compile())
-    SimRobot(world, WITH_HAND).go_home()
-    world.refresh()
-    model, data = world.model, world.data
-    assert data is not None
-    tcp = data.site(WITH_HAND.tcp_site).xpos
-    assert [placement.name for placement in placements] == ["xarm7_thumb", "xarm7_index"]
-    for placement in placements:
-        sensor = SimTactile(world, placement, indentation="geometry")
-        assert not sensor.read()["indentation"].any()
-        body = data.body(placement.body_name)
-        turn = body.xmat.reshape(3, 3)
-        tip = body.xpos + turn @ np.array(DIGIT.gel_center)
-        assert turn[:, 0] @ (tcp - tip) > 0.0
-        finger = model.body(placement.parent_body).id
-        axis = data.xaxis[model.body_jntadr[finger]]
-        np.testing.assert_allclose(turn[:, ::2].T @ axis, 0.0, atol=1e-6)
-        address = model.joint("ball").qposadr[0]
-        before = world.qpos[address : address + 3].copy()
-        world.qpos[address : address + 3] = tip + 0.009 * turn[:, 0]
-        world.refresh()
-        assert sensor.read()["indentation"].max() == pytest.approx(0.001, rel=0.03)
-        world.qpos[address : address + 3] = before
-        world.refresh()
-
-
-def test_a_finger_that_a_hand_does_not_have_is_refused_with_those_that_it_has() -> None:
-    with pytest.raises(InvalidSetup, match="Tilburg Hand has thumb, index, middle, ring"):
-        on_fingertips(WITH_HAND, DIGIT, ("little",))
-    with pytest.raises(InvalidSetup, match="at least one"):
-        on_fingertips(WITH_HAND, DIGIT, ())
-    with pytest.raises(InvalidSetup, match="no hand"):
-        on_fingertips(ROBOTS["so101_gripper"], DIGIT, ("thumb",))

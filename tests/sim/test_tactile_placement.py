@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rcs.errors import InvalidSetup
-from rcs.robots.digit.description import DIGIT
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.franka_hand import FRANKA_HAND
+from rcs.robots.tactile import DIGIT
 from rcs.sim import RobotPlacement, Scene, World
 from rcs.sim.robot import SimRobot
 from rcs.sim.tactile import SimTactile

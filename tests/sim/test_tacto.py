@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rcs.errors import InvalidSetup, MissingDependency
-from rcs.robots.digit.description import DIGIT
+from rcs.robots.tactile import DIGIT
 from rcs.sim.gel import Gel, GelLight
 from rcs.sim.tacto import Tacto
 

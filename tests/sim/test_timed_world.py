@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from rcs.errors import InvalidSetup, UnknownName
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
-from rcs.robots.so101.description import SO101
-from rcs.robots.ur5e.description import UR5E
-from rcs.robots.xarm7.description import XARM7
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
+from rcs.robots.so101 import SO101
+from rcs.robots.ur5e import UR5E
+from rcs.robots.xarm7 import XARM7
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.timed_world import LONGEST_GAP, SMOOTHING, Course, TimedWorld
 

@@ -12,10 +12,10 @@ from rcs._core import MotionLimits, Trajectory
 from rcs.envs.layers import LimitStep
 from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription
-from rcs.robots.fr3.description import FR3
-from rcs.robots.so101.description import SO101
-from rcs.robots.ur5e.description import UR5E
-from rcs.robots.xarm7.description import XARM7
+from rcs.robots.fr3 import FR3
+from rcs.robots.so101 import SO101
+from rcs.robots.ur5e import UR5E
+from rcs.robots.xarm7 import XARM7
 
 ARMS = {arm.name: arm for arm in (FR3, UR5E, XARM7, SO101)}
 FREQUENCIES = (10.0, 30.0, 100.0)

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import rcs
 from rcs.devices import lookup
 from rcs.envs.setup import Setup
+from rcs.errors import MissingDependency
 from rcs.setups.make import resolve
 from rcs.sim.scene import OVERVIEW, Scene
+from rcs.sim.viewer import Picture
 
 ASPECT = 4 / 3
 
@@ -62,3 +65,9 @@ def test_a_larger_robot_is_seen_from_farther_away_and_no_wall_is_between() -> No
     assert np.linalg.norm(eye("so101")) < np.linalg.norm(eye("xarm7")) < np.linalg.norm(eye("fr3"))
     assert np.linalg.norm(eye("fr3")) < np.linalg.norm(eye("dual_fr3"))
     assert np.abs(eye("dual_fr3")[1]) < 1.65
+
+
+def test_without_a_display_the_page_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.sim.viewer.has_display", lambda: False)
+    with rcs.make("Free") as env, pytest.raises(MissingDependency, match="rcs sim"):
+        Picture(env.simulation.world).show()

@@ -224,9 +224,8 @@ def test_a_daemon_thread_that_steps_does_not_spoil_the_end_of_the_program(run_pr
     """
     for copies in ("one", "many"):
         for callback in ("none", "short", "asleep"):
-            for _ in range(2):
-                answer = run_program(program, copies, callback)
-                assert (answer.returncode, answer.stderr) == (0, "")
+            answer = run_program(program, copies, callback)
+            assert (answer.returncode, answer.stderr) == (0, "")
 
 
 def test_by_default_there_is_a_thread_for_each_cpu_that_the_process_may_use(run_program: RunProgram) -> None:

@@ -9,8 +9,8 @@ import rcs
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.errors import InvalidSetup
 from rcs.robots.description import Mount
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 from rcs.sim import RobotPlacement, Scene, World
 from rcs.sim.robot import SimRobot
 from rcs.spatial import Pose
@@ -166,3 +166,11 @@ def test_the_cuboid_lies_in_the_scene_and_is_told_in_the_base_frame() -> None:
     in_scene = Pose(turned.translation, turned.quaternion) * in_base
     expected = Pose.from_tquat(rcs.make("PickCuboid").reset(seed=0)[1]["cuboid"])
     assert in_scene.is_close(expected, 1e-9, 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("pose", "flat"), ("edges", "random"), ("distractors", 1), ("obstacles", 2)]
+)
+def test_a_robot_places_the_usual_cuboid_alone(option: str, value: Any) -> None:
+    with pytest.raises(InvalidSetup, match=f"placed_by is 'robot' and {option}"):
+        rcs.make("PickCuboid", task_options={"placed_by": "robot", option: value})

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcs.envs.layers.keep_tilt import KEPT
 from rcs.envs.setup import Setup
-from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, TWIST, XYZYAW, Action, Observation
+from rcs.envs.spaces import GRIPPER, JOINTS, ORIGIN, TQUAT, TWIST, XYZYAW, Action, Observation
 from rcs.kinematics import IkStatus, Kinematics, freedom_of
 from rcs.spatial import Pose, compose, inverse, limit_step, tquat_to_xyzrpy
 
@@ -24,8 +24,8 @@ class ActionWriter:
 
     Under the layer `KeepTilt`, which tilts the tool itself, it writes the rest of a pose.
 
-    Relative actions count from the target actually reached, which `follow` takes from the step's info, since a layer
-    may have limited it.
+    Relative actions count from the target actually reached, or from the origin, which `follow` takes from the step's
+    info, since a layer may have limited the one and a hold have moved the other.
     """
 
     def __init__(
@@ -69,6 +69,10 @@ class ActionWriter:
         target = info.get("target")
         if target is not None:
             self._last = (target if robot is None else target[robot])[self._key]
+        if "refused" in info:  # the devices hold, and an origin moves to where they are
+            self._origin = self._last
+            return
+        self._origin = info.get(ORIGIN if robot is None else f"{robot}/{ORIGIN}", self._origin)
 
     def write(self, tcp: NDArray[np.float64], opening: float) -> Action | None:
         """Return the action that moves the TCP towards a pose, as far as one step may.

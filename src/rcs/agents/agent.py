@@ -10,11 +10,16 @@ from typing import Any, Literal
 
 from rcs.devices import lookup
 from rcs.envs.env import Env
+from rcs.envs.observer import Note
 from rcs.envs.spaces import Action, Observation
 from rcs.errors import InvalidSetup
 
-Event = Literal["engage", "release", "start", "stop", "discard", "reset", "takeover"]
-"""An operator's request besides an action."""
+_TRAINED, _SERVED = "rcs.rl.policy:TrainedPolicy", "rcs.policy.agent:ServedPolicy"
+"""What a path and an address stand for; by name, for their modules need packages that are not always there."""
+
+Event = Literal["engage", "release", "start", "success", "failure", "discard", "reset", "takeover", "stop"]
+"""What a person wants besides motion: the clutch; a take that begins, or ends with a verdict or without a trace; the
+next episode; a policy's robot, or to give it back; the end."""
 
 
 class Agent(ABC):
@@ -31,6 +36,21 @@ class Agent(ABC):
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Return the next action."""
 
+    @property
+    def weights(self) -> str | None:
+        """SHA-256 of the weights that act; None if there are none, or that is not known."""
+        return None
+
+    @property
+    def is_lost(self) -> bool:
+        """True if the connection to who decides was lost in this episode, so that its end says nothing about them."""
+        return False
+
+    @property
+    def latencies(self) -> Sequence[float]:
+        """How long each answer of a policy took in this episode [s]."""
+        return ()
+
     def close(self) -> None:  # noqa: B027  most agents hold nothing
         """Release devices, threads and connections. Closing twice is harmless."""
 
@@ -44,12 +64,17 @@ class Agent(ABC):
         """What went wrong in this episode, for people to read; None if the class says it all."""
         return None
 
+    @property
+    def note_fields(self) -> Sequence[Note]:
+        """What `notes` may have, for recordings."""
+        return ()
+
     def notes(self) -> Mapping[str, Any]:
         """Return notes to record with the last action: who acted, latency [s], place in a chunk."""
         return {}
 
     def events(self) -> Sequence[Event]:
-        """Return an operator's requests since the last call, oldest first."""
+        """Return a person's requests since the last call, oldest first."""
         return ()
 
 
@@ -67,22 +92,37 @@ def agent_for(env: Env, agent: Any = None) -> Agent:
         UnknownName: There is no agent of this name.
     """
     if agent is None:
-        task = lookup.find("task", env.setup.task)
-        agent = task.expert
-        if agent is None:
-            raise InvalidSetup(
-                f"There is no scripted expert for the task {task.__name__!r}: it names none. Give an agent, or set the "
-                f"task's attribute `expert`, for example to one of {', '.join(map(repr, lookup.names('agent')))}."
-            )
-    if is_path(agent):
-        return lookup.find("policy", "checkpoint")(agent, env)
-    if is_address(agent):
-        return lookup.find("policy", "address")(agent, env)
+        agent = expert_of(env.setup.task)
+    elif (policy := policy_at(agent)) is not None:
+        return policy(env)
     found = lookup.find("agent", agent)
     made = found if isinstance(found, Agent) else found(env) if callable(found) else None
     if not isinstance(made, Agent):
         raise InvalidSetup(f"The agent {agent!r} is {made!r}; valid is a class or function that makes an Agent.")
     return made
+
+
+def expert_of(task: str) -> Any:
+    """Return the scripted expert that a task names.
+
+    Raises:
+        InvalidSetup: It names none.
+        UnknownName: There is no such task.
+    """
+    found = lookup.find("task", task)
+    if found.expert is None:
+        raise InvalidSetup(
+            f"There is no scripted expert for the task {found.__name__!r}: it names none. Give an agent, or set the "
+            f"task's attribute `expert`, for example to one of {', '.join(map(repr, lookup.names('agent')))}."
+        )
+    return found.expert
+
+
+def policy_at(given: Any) -> Any:
+    """Return the policy, a factory of agents, that an agent's path or address stands for; None for another agent."""
+    if is_path(given):
+        return lookup.find("agent", _TRAINED)(str(given))
+    return lookup.find("agent", _SERVED)(address=given) if is_address(given) else None
 
 
 def is_path(given: Any) -> bool:

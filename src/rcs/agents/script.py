@@ -89,6 +89,8 @@ class Script(Agent):
     """Keys required in the task's info."""
     phases: ClassVar[Sequence[Phase]]
     attempts: ClassVar[int] = 2
+    infeasible: ClassVar[str] = "ik"
+    """Class of the failure if there is no plan."""
     turn_speed: ClassVar[float] = 2.0
     """Rotational speed of the target [rad/s]."""
     arrived: ClassVar[tuple[float, float]] = (0.004, 0.03)
@@ -176,7 +178,7 @@ class Script(Agent):
         for arm, plan in zip(self.arms, plans, strict=True):
             arm.plan = {"home": arm.kinematics.forward(np.array(arm.robot.arm.home)).tquat, **(plan or {})}
         if None in plans:
-            self._failure = "ik"
+            self._failure = self.infeasible
         self._enter(GIVEN_UP if None in plans else self.phases[0])
 
     def _advance(self) -> None:

@@ -2,7 +2,9 @@ from rcs.calibration.board import Board as Board
 from rcs.calibration.detection import Detections as Detections
 from rcs.calibration.detection import detect as detect
 from rcs.calibration.hand_eye import HandEye as HandEye
+from rcs.calibration.hand_eye import Verification as Verification
 from rcs.calibration.hand_eye import hand_eye as hand_eye
+from rcs.calibration.hand_eye import verify as verify
 from rcs.calibration.intrinsics import IntrinsicsFit as IntrinsicsFit
 from rcs.calibration.intrinsics import fit_intrinsics as fit_intrinsics
 from rcs.calibration.rig import Arrangement as Arrangement
@@ -10,7 +12,4 @@ from rcs.calibration.rig import Rig as Rig
 from rcs.calibration.rig import View as View
 from rcs.calibration.strategy import BoardStrategy as BoardStrategy
 from rcs.calibration.strategy import CalibrationStrategy as CalibrationStrategy
-from rcs.calibration.suggestion import IsFree as IsFree
-from rcs.calibration.verify import Drift as Drift
-from rcs.calibration.verify import Verification as Verification
-from rcs.calibration.verify import verify as verify
+from rcs.calibration.strategy import IsFree as IsFree

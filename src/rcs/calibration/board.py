@@ -12,10 +12,10 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
-from rcs_data.record import Natural, Positive, Record, Whole
+from rcs_data.options import Natural, Positive, Record, Whole
 
-from rcs.calibration.packages import package
 from rcs.errors import InvalidSetup
+from rcs.extras import package_of
 
 FAMILY = "tag36h11"
 """Family of the tags."""
@@ -101,7 +101,7 @@ class Board(Record):
         Raises:
             MissingDependency: OpenCV, which knows the family, is not installed.
         """
-        aruco = package("cv2").aruco
+        aruco = package_of("calibration", "cv2").aruco
         family = aruco.getPredefinedDictionary(aruco.DICT_APRILTAG_36h11)
         return np.asarray(aruco.generateImageMarker(family, number, CELLS)) == 0
 

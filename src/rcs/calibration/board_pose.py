@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rcs.calibration.board import Board
 from rcs.calibration.detection import Detections
-from rcs.calibration.packages import package
+from rcs.extras import package_of
 from rcs.spatial import Intrinsics
 
 FAR = 3.0
@@ -90,7 +90,7 @@ def _cost(pose: BoardPose) -> tuple[int, float]:
 
 
 def _ippe(points: NDArray[np.float64], rays: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    cv2 = package("cv2")
+    cv2 = package_of("calibration", "cv2")
     flat, seen = points.reshape(-1, 3), rays.reshape(-1, 2)
     middle = flat.mean(axis=0)  # IPPE wants points about the origin
     found, rotations, translations, _ = cv2.solvePnPGeneric(
@@ -107,7 +107,7 @@ def _ippe(points: NDArray[np.float64], rays: NDArray[np.float64]) -> list[NDArra
 
 
 def _refined(pose: NDArray[np.float64], points: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    cv2 = package("cv2")
+    cv2 = package_of("calibration", "cv2")
     rotation, translation = cv2.solvePnPRefineLM(
         points.reshape(-1, 3), rays.reshape(-1, 2), np.eye(3), None, cv2.Rodrigues(pose[:3, :3])[0], pose[:3, 3:].copy()
     )

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs.calibration.board import FAMILY, Board
-from rcs.calibration.packages import package
 from rcs.errors import InvalidSetup
+from rcs.extras import package_of
 from rcs.spatial import Intrinsics, distort, undistort
 from rcs.spatial.pinhole import fold_radius
 
@@ -95,8 +95,8 @@ def detect(board: Board, picture: ArrayLike, lens: Intrinsics | None = None) -> 
         return _found(board, shades)
     lookup, first = _straightening(lens)
     # Linear: what is sharper rings at the edges and finds corners worse.
-    linear = package("cv2").INTER_LINEAR
-    found = _found(board, package("cv2").remap(shades, lookup, None, linear, borderValue=_BEYOND))
+    linear = package_of("calibration", "cv2").INTER_LINEAR
+    found = _found(board, package_of("calibration", "cv2").remap(shades, lookup, None, linear, borderValue=_BEYOND))
     focal, centre = np.array([lens.fx, lens.fy]), np.array([lens.cx, lens.cy])
     rays = (found.corners + first - centre) / focal
     return Detections(found.ids, distort(rays, lens.distortion) * focal + centre)
@@ -171,7 +171,7 @@ def _straightening(lens: Intrinsics) -> tuple[NDArray[np.float32], NDArray[np.in
 def _detector() -> Any:
     """Return the detector of this thread; one of them is not to be used by two."""
     if not hasattr(_local, "detector"):
-        _local.detector = package("pupil_apriltags").Detector(
+        _local.detector = package_of("calibration", "pupil_apriltags").Detector(
             families=FAMILY, nthreads=1, quad_decimate=1.0, refine_edges=True
         )
     return _local.detector

@@ -1,4 +1,4 @@
-"""Where a camera is: from views of a board at many poses of the robot, with what is known of the error."""
+"""The pose of a camera from views of a board at many poses of the robot, its error, and a check by other views."""
 
 from __future__ import annotations
 
@@ -9,12 +9,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs.calibration.board import Board
-from rcs.calibration.closed_form import start
-from rcs.calibration.fit import GIVEN, Guess, Sightings, moved_by, refine, tag_errors
+from rcs.calibration.board_pose import board_poses
+from rcs.calibration.closed_form import rigid, start
+from rcs.calibration.fit import (
+    GIVEN,
+    Guess,
+    RobotError,
+    RobotFit,
+    Sightings,
+    fit_with_robot,
+    moved_by,
+    refine,
+    tag_errors,
+)
 from rcs.calibration.motion import motions
-from rcs.calibration.rig import Arrangement, View
-from rcs.calibration.robot_error import RobotError, RobotFit, fit_with_robot
-from rcs.calibration.verify import board_offset
+from rcs.calibration.rig import Arrangement, Rig, View
 from rcs.errors import InvalidSetup
 from rcs.spatial import Intrinsics, Pose
 
@@ -256,3 +265,64 @@ def _check_given(
 
 def _rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verification:
+    """How well a calibration holds. Each number is the median over all views."""
+
+    views: int
+    """Views that showed the board."""
+    pixels: float
+    """Distance of a tag's corners from where they are expected [px]."""
+    millimetres: float
+    """Distance of the board from where it is expected [mm], with the error of seeing it in one view."""
+    degrees: float
+    """The same of its rotation [degrees]."""
+
+
+def verify(rig: Rig, board: Board, views: Sequence[View]) -> Verification:
+    """Compare views with what is expected of a camera and a board whose places are known.
+
+    Args:
+        rig: Where camera and board are, and how the camera sees.
+        board: The board.
+        views: What was seen; views without tags do not count.
+
+    Raises:
+        InvalidSetup: The place of the board is not known, or no view shows it.
+    """
+    if rig.board_in_anchor is None:
+        raise InvalidSetup("The place of the board is not known, so there is nothing to compare with.")
+    usable = [view for view in views if len(view.detections)]
+    if not usable:
+        raise InvalidSetup(f"None of {len(views)} pictures shows the board; is it where it was?")
+    guess = Guess(rig.camera_in_mount, rig.board_in_anchor)
+    off = [board_offset(guess, board, view, rig.arrangement, rig.intrinsics) for view in usable]
+    millimetres, degrees = (float(np.median(values)) for values in zip(*off, strict=True))
+    pixels = tag_errors(guess, Sightings.of(board, usable, rig.arrangement, rig.intrinsics))
+    return Verification(
+        views=len(usable),
+        pixels=float(np.median(pixels)),
+        millimetres=millimetres,
+        degrees=degrees,
+    )
+
+
+def board_offset(
+    guess: Guess, board: Board, view: View, arrangement: Arrangement, intrinsics: Intrinsics
+) -> tuple[float, float]:
+    """Return the offset of the board in a view from its expected pose [mm, degrees].
+
+    Args:
+        guess: Poses of camera and board.
+        board: The board.
+        view: The view.
+        arrangement: What carries the camera.
+        intrinsics: Intrinsics of the camera.
+    """
+    expected = rigid(guess.boards_in_camera(view.anchor_in_mount(arrangement)))
+    found = [rigid(one.board_in_camera) for one in board_poses(board, view.detections, intrinsics)]
+    # A flipped board is an error of that picture alone: the one that is meant is the nearer one.
+    nearest = min((moved_by(expected, one) for one in found), key=lambda step: float(np.linalg.norm(step[3:])))
+    return 1000 * float(np.linalg.norm(nearest[:3])), float(np.rad2deg(np.linalg.norm(nearest[3:])))

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from rcs.calibration.board import Board
 from rcs.calibration.board_pose import board_poses, project
 from rcs.calibration.detection import Detections
-from rcs.calibration.packages import package
 from rcs.errors import InvalidSetup
+from rcs.extras import package_of
 from rcs.spatial import Intrinsics
 
 FEWEST = 8
@@ -106,7 +106,7 @@ def fit_intrinsics(board: Board, pictures: Sequence[Detections], size: tuple[int
 def _calibrated(
     board: Board, pictures: Sequence[Detections], size: tuple[int, int]
 ) -> tuple[Intrinsics, tuple[float, float, float, float]]:
-    cv2 = package("cv2")
+    cv2 = package_of("calibration", "cv2")
     points = [board.corners_of(found.ids).reshape(-1, 1, 3).astype(np.float32) for found in pictures]
     seen = [found.corners.reshape(-1, 1, 2).astype(np.float32) for found in pictures]
     _, matrix, distortion, _, _, sigma, _, _ = cv2.calibrateCameraExtended(

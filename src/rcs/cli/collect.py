@@ -11,19 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rcs_data.cli.console import plain_console
 from rcs_data.cli.program import INTERRUPTED
-from rcs_data.feature import Colour
 from rcs_data.view import write_report
 from rich.console import Console
 
-from rcs.cli.runs import RunOptions, interruptible, results_table, show
-from rcs.cli.setup_options import flags
+from rcs.cli.runs import PoolOptions, interruptible, results_table, show
+from rcs.cli.setup_options import SetupOptions, flags
 from rcs.envs.setup import Setup
-from rcs.envs.step.approach import SPEED
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.site import Site
-from rcs.rollout.collect import Collection, Progress, collect
-from rcs.rollout.evaluate import Summary
-from rcs.rollout.operator import Operator, TerminalOperator, VirtualOperator, operator_of
+from rcs.rollout.collect import Collection, Kept, Progress, collect
+from rcs.rollout.evaluation import Summary
+from rcs.rollout.placing import is_placed_by_robot
+from rcs.rollout.supervisor import Supervisor, TerminalSupervisor, VirtualSupervisor, supervisor_of
 
 if TYPE_CHECKING:
     CollectFlags = Setup
@@ -32,11 +31,14 @@ else:
 
 
 @dataclass(kw_only=True)
-class CollectCommand(RunOptions):
+class CollectCommand(SetupOptions):
     """Collect a dataset of scripted episodes and write a report page.
 
     Episode i depends only on the seed and on i, so the same command resumes an interrupted collection, and neither the
     number of workers nor a cluster changes the data. Ctrl-C ends after the running episodes; a second one ends at once.
+
+    With `--task-options placed_by=robot`, the robot sets the object down where the next episode begins, after each
+    success, in simulation and with `--hardware`; otherwise, and after a failure, it is placed as without.
 
     With `--hardware`, arms are real. Before each episode they go home, slowly, and somebody puts the objects where the
     terminal says; after it, they say whether the task was done. A virtual robot does both by itself.
@@ -45,19 +47,10 @@ class CollectCommand(RunOptions):
     environment: Annotated[CollectFlags, tyro.conf.OmitArgPrefixes] = field(default_factory=CollectFlags)
     """The fields of `rcs.Setup` and `rcs.Cameras`, as in Python; but for cameras, which are all, as a dataset is to be
     seen and learned from."""
-    episodes: int = 20
-    """Number of episodes in the finished dataset; partial episodes left by a kill do not count."""
+    kept: Annotated[Kept, tyro.conf.OmitArgPrefixes] = field(default_factory=Kept)
+    pool: Annotated[PoolOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=PoolOptions)
     out: Path = field(default_factory=lambda: Path("datasets/collected"))
     """Folder of the dataset."""
-    only_success: bool = False
-    """Keep successful episodes only, and try until there are enough."""
-    most_attempts: int | None = None
-    """Attempts after which `--only-success` gives up; by default 100 without a single success, else 20 per episode."""
-    colour: Colour = "jpeg"
-    """Encoding of colour frames. Of the space of `jpeg`, the video `h264` takes a quarter to two fifths and `av1` a
-    sixth or less, at some loss of quality and speed; `lossless` takes as much, with sensor noise six times as much."""
-    jpeg_quality: int = 95
-    """JPEG quality of colour frames."""
     report: bool = True
     """Write report.html."""
     hardware: str | None = None
@@ -65,40 +58,25 @@ class CollectCommand(RunOptions):
     then those of the site, if none are given."""
     yes: bool = False
     """Do not ask whether real arms may go home: somebody watches them."""
-    home_speed: float = SPEED
-    """Largest speed of a joint of real arms on their way home, as a share of its limit."""
-    viewer: bool = False
-    """Watch in a window, in real time; needs a display."""
 
     def run(self) -> int:
         """Collect, print the results and return the exit code."""
         console = plain_console(soft_wrap=False)
-        if self.viewer and self.cluster:
-            raise InvalidSetup("One watches in this process; use --viewer without --ray and --ray-address.")
-        if self.viewer and self.hardware:
-            raise InvalidSetup("A real robot has no simulated scene to watch; use --viewer without --hardware.")
         cameras: Any = "all"
         if self.hardware:
             cameras = tuple(Site.read(self.hardware).cameras) if self.hardware.endswith(".json") else ()
+        setup = self.setup(cameras=cameras)
+        is_single = bool(self.hardware) or is_placed_by_robot(setup)
         collection = Collection(
-            setup=self.setup("realtime" if self.viewer else None, cameras=cameras),
+            setup=setup,
             out=self.out,
-            episodes=self.episodes,
             seed=self.seed,
-            only_success=self.only_success,
-            most_attempts=self.most_attempts,
             agent=self.actor,
-            workers=1 if self.viewer or (self.hardware and not self.workers) else self.processes,
-            ray=self.cluster,
-            colour=self.colour,
-            jpeg_quality=self.jpeg_quality,
+            workers=1 if is_single and not self.pool.workers else self.pool.processes(self.kept.episodes),
+            ray=self.pool.ray,
             hardware=self.hardware,
-            home_speed=self.home_speed,
+            **vars(self.kept),
         )
-        if self.viewer:
-            from rcs.cli.watch import watch_collection
-
-            return watch_collection(collection, console)
         started = time.perf_counter()
         progress = Progress()
         with interruptible(progress, console):
@@ -115,21 +93,21 @@ class CollectCommand(RunOptions):
         return INTERRUPTED if progress.is_interrupted else 0
 
     def _collect(self, collection: Collection, progress: Progress, console: Console) -> None:
-        operator: Operator | None = None
+        supervisor: Supervisor | None = None
         if self.hardware is not None:
-            operator = operator_of(collection.setup, self.hardware, agrees=self.yes)
-        attempts = collect(collection, progress, operator=operator)
-        if isinstance(operator, TerminalOperator):
+            supervisor = supervisor_of(collection.setup, self.hardware, agrees=self.yes)
+        attempts = collect(collection, progress, supervisor=supervisor)
+        if isinstance(supervisor, TerminalSupervisor):
             if not sys.stdin.isatty():
                 raise InvalidSetup("The input is no terminal, and a person at a terminal places objects and judges.")
             for attempt in attempts:  # a bar would write over the questions
                 told = {True: "done", False: "not done", None: "not known"}[attempt.result.success]
-                console.print(f"Episode {attempt.number + 1} of {self.episodes}: {told}")
+                console.print(f"Episode {attempt.number + 1} of {self.kept.episodes}: {told}")
             return
-        if isinstance(operator, VirtualOperator):
-            console.print(f"{operator.name} is a virtual robot, which places its objects and judges by itself.")
+        if isinstance(supervisor, VirtualSupervisor):
+            console.print(f"{supervisor.name} is a virtual robot, which places its objects and judges by itself.")
         title = f"{collection.setup.task} on {collection.setup.robot_label}"
-        show(attempts, title, self.episodes, console, progress, lambda: progress.kept)
+        show(attempts, title, self.kept.episodes, console, lambda: progress.kept)
 
 
 def _summarise(collection: Collection, progress: Progress, console: Console) -> None:
@@ -139,6 +117,7 @@ def _summarise(collection: Collection, progress: Progress, console: Console) -> 
         console.print(f"{progress.again} episodes cut short by a kill were collected again.")
     if progress.attempts:
         summary = Summary(attempts=progress.attempts)
-        console.print(results_table(summary, progress.seconds, progress.cluster or collection.workers))
+        workers = f"Ray cluster {collection.ray}" if collection.ray else collection.workers
+        console.print(results_table(summary, progress.seconds, workers))
     elif not progress.is_interrupted:
         console.print(f"Nothing to do: {collection.out} has {progress.kept} episodes.", soft_wrap=True)

@@ -6,24 +6,84 @@ import importlib.metadata
 import os
 import platform
 import re
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 from rcs_data.cli.console import plain_console
 from rich.table import Table
 
 from rcs._core import probe_gl
+from rcs.errors import InvalidSetup
+from rcs.hardware.finding import Finding, as_json, as_page
+from rcs.hardware.machine import worst
+from rcs.hardware.site import KINDS, DeviceAddress, Site
 
 PACKAGE = "robot-control-stack"
+OPTIONAL = ("digit", "webcam")
+"""Drivers that need no package for cameras at a URL."""
 # What a package needs for an extra and nothing else, such as 'rcs-data[mcap]>=0.1; extra == "mcap"'.
 _NEED = re.compile(r"(?P<package>[\w.-]+)(?:\[(?P<extras>[^]]*)\])?[^;]*; *extra *== *['\"](?P<extra>[\w.-]+)['\"]")
 
 
 @dataclass(kw_only=True)
 class DoctorCommand:
-    """Show what works on this machine. Exit code 1 if nothing can draw."""
+    """Show what works on this machine, or examine a lab. Exit code 1 if nothing can draw, or the lab has a fault.
+
+    With `--site`, the kernel, the network to each address and all devices are examined: they are opened, read for some
+    seconds, held and closed. Nothing moves without `--move`.
+    """
+
+    site: Path | None = None
+    """Site file of the lab to examine."""
+    robot: str | None = None
+    """Name of the robot, or of the lab with several; needed where the site's arms could be those of more than one."""
+    seconds: float = 10.0
+    """How long the devices are read [s]."""
+    move: bool = False
+    """After a question, check clauses of the contract on every arm: its joints move by 0.05 rad and back, at 5 % of
+    their speeds."""
+    yes: bool = False
+    """Do not ask: somebody watches the arms."""
+    json: bool = False
+    """Print JSON."""
+    page: Path | None = None
+    """File for a page with the findings."""
 
     def run(self) -> int:
         """Print it."""
+        return self._show_machine() if self.site is None else self._examine(self.site)
+
+    def _examine(self, path: Path) -> int:
+        from rcs.cli.home import robot_of
+        from rcs.rollout.examine import examine, read_site, setup_for
+        from rcs.rollout.exercise import move
+
+        if self.move and not self.yes and not sys.stdin.isatty():
+            raise InvalidSetup("The input is no terminal, so nobody can be asked; give --yes where somebody watches.")
+        site = read_site(path)
+        setup = setup_for(site, self.robot or robot_of(site))
+        console = plain_console()
+        found = [*_packages(site), *examine(site, setup, seconds=self.seconds)]
+        if self.move and worst(found) != "fault":
+            asking = plain_console(stderr=self.json)  # the output is JSON alone
+
+            def ask(question: str) -> bool:
+                return self.yes or asking.input(f"{question} [y]es, [n]o: ").strip().lower() in ("y", "yes")
+
+            found += move(site, setup, ask)
+        if self.page is not None:
+            self.page.write_text(as_page(f"Examination of {path.name}", found), "utf-8")
+        if self.json:
+            print(as_json(found))
+        else:
+            table = Table("status", "part", "finding", "remedy", box=None, pad_edge=False)
+            for one in found:
+                table.add_row(one.status, one.part, one.message, one.remedy)
+            console.print(table)
+        return int(worst(found) == "fault")
+
+    def _show_machine(self) -> int:
         console = plain_console()
         table = Table(show_header=False, box=None, pad_edge=False)
         table.add_row("python", f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} CPUs")
@@ -47,6 +107,29 @@ class DoctorCommand:
             console.print("Nothing can draw: cameras need one of the remedies above.")
             return 1
         return 0
+
+
+def _packages(site: Site) -> list[Finding]:
+    """Return a finding per driver of a site: the versions of its extra's packages, or those that are missing."""
+    found: list[Finding] = []
+    every = [one for kind in KINDS for one in getattr(site, kind).values()]
+    extras = importlib.metadata.metadata(PACKAGE).get_all("Provides-Extra") or ()
+    needed = {
+        one.driver
+        for one in every
+        if isinstance(one, DeviceAddress) and not (one.driver in OPTIONAL and "://" in one.address)
+    }
+    for driver in sorted(needed & set(extras)):
+        part = f"driver {driver}"
+        if lacking := missing(PACKAGE, driver):
+            message, remedy = f"not installed: {', '.join(lacking)}", f"pip install '{PACKAGE}[{driver}]'"
+            found.append(Finding(part=part, status="fault", message=message, remedy=remedy))
+            continue
+        needs = [need for line in importlib.metadata.requires(PACKAGE) or [] if (need := _NEED.fullmatch(line))]
+        names = [need["package"] for need in needs if need["extra"] == driver]
+        told = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
+        found.append(Finding(part=part, status="ok", message=told))
+    return found
 
 
 def missing(package: str, extra: str) -> list[str]:

@@ -46,7 +46,7 @@ class HomeCommand:
             raise InvalidSetup(f"{self.site} has no arms.")
         setup = Setup(
             task="Free",
-            robot=self.robot or _robot_of(site),
+            robot=self.robot or robot_of(site),
             end_effector=self.end_effector,
             max_episode_steps=None,
         )
@@ -66,7 +66,7 @@ class HomeCommand:
         return 0
 
 
-def _robot_of(site: Site) -> str:
+def robot_of(site: Site) -> str:
     """Return the robot whose arms are those of a site.
 
     Raises:

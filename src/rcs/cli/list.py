@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
 from rcs_data.cli.console import plain_console
-from rcs_data.cli.verbs import summary
+from rcs_data.cli.program import summary
 from rich.table import Table
 
 from rcs.devices import lookup
@@ -22,75 +23,55 @@ class ListCommand:
     cameras: bool = False
     """List the modes of cameras instead, with focal length and depth range."""
 
+    devices: bool = False
+    """List what is plugged in instead, as lines for a site file."""
+
     def run(self) -> int:
         """Print them."""
         console = plain_console()
+        if self.devices:
+            from rcs.hardware.plugged_in import site_lines
+
+            for line in site_lines():
+                print(line)
+            return 0
         if self.cameras:
             console.print(_modes_of_cameras())
             return 0
         table = Table("kind", "name", "what", box=None, pad_edge=False)
-        for kind, shown, about in _PARTS:
+        for kind, shown, describe in _PARTS:
             for entry in sorted(entry_points(group=f"rcs.{kind}s")):
-                table.add_row(shown, entry.name, _told(entry, about))
+                table.add_row(shown, entry.name, _described(entry, describe))
         for name in ids():
             table.add_row("id", name, "gymnasium.make")
         console.print(table)
         return 0
 
 
-def _told(entry: EntryPoint, about: Callable[[EntryPoint], str]) -> str:
+def _described(entry: EntryPoint, describe: Callable[[Any], str] | None) -> str:
     try:
-        return about(entry)
+        return (summary(entry.value) or entry.name) if describe is None else describe(entry.load())
     except Exception as err:  # noqa: BLE001  one broken package does not hide the others
         package = "" if entry.dist is None else f" of the package {entry.dist.name}"
         return f"broken: {entry.value}{package}: {type(err).__name__}: {err}"
 
 
-def _arm(entry: EntryPoint) -> str:
-    arm = entry.load()
-    return f"{arm.label}, {arm.dof} joints"
-
-
-def _gripper(entry: EntryPoint) -> str:
-    gripper = entry.load()
-    return f"{gripper.label}, {1000 * gripper.max_width:g} mm"
-
-
-def _hand(entry: EntryPoint) -> str:
-    hand = entry.load()
-    return f"{hand.label}, {len(hand.joints)} joints; grasps: {', '.join(hand.grasps)}"
-
-
-def _tactile(entry: EntryPoint) -> str:
-    return f"{entry.load().label}, on the pads of {', '.join(lookup.names('gripper'))}"
-
-
-def _camera(entry: EntryPoint) -> str:
-    camera = entry.load()
-    return f"{camera.label}, {'colour and depth' if camera.has_depth else 'colour'}"
-
-
-def _lab(entry: EntryPoint) -> str:
-    lab = entry.load()
+def _lab(lab: Any) -> str:
     arms = " and ".join(stand.arm for stand in lab.stands)
     cameras = ", ".join(f"{mount} {about.camera}" for mount, about in lab.cameras.items())
     return f"{arms} with {lab.end_effector}; cameras: {cameras}"
 
 
-def _sentence(entry: EntryPoint) -> str:
-    return summary(entry.value) or entry.name
-
-
-_PARTS: tuple[tuple[str, str, Callable[[EntryPoint], str]], ...] = (
-    ("arm", "arm", _arm),
-    ("gripper", "end effector", _gripper),
-    ("hand", "end effector", _hand),
-    ("tactile", "tactile sensor", _tactile),
-    ("camera", "camera", _camera),
+_PARTS: tuple[tuple[str, str, Callable[[Any], str] | None], ...] = (
+    ("arm", "arm", lambda arm: f"{arm.label}, {arm.dof} joints"),
+    ("gripper", "end effector", lambda gripper: f"{gripper.label}, {1000 * gripper.max_width:g} mm"),
+    ("hand", "end effector", lambda it: f"{it.label}, {len(it.joints)} joints; grasps: {', '.join(it.grasps)}"),
+    ("tactile", "tactile sensor", lambda it: f"{it.label}, on the pads of {', '.join(lookup.names('gripper'))}"),
+    ("camera", "camera", lambda it: f"{it.label}, {'colour and depth' if it.has_depth else 'colour'}"),
     ("lab", "robot", _lab),
-    *((kind, kind, _sentence) for kind in ("task", "agent", "operator", "layer", "gate", "driver")),
+    *((kind, kind, None) for kind in ("task", "agent", "operator", "layer", "gate", "driver")),
 )
-"""Kinds of parts, what they are called, and what is told about one."""
+"""Kinds of parts, their names in the list, and their descriptions; None for the first sentence of the docstring."""
 
 
 def _modes_of_cameras() -> Table:

@@ -5,23 +5,23 @@ from __future__ import annotations
 import sys
 
 from rcs_data.cli import VERBS as OF_DATASETS
-from rcs_data.cli.program import Program
-from rcs_data.cli.verbs import Table
+from rcs_data.cli.program import Program, Table
 
 VERBS: Table = {
     "collect": "rcs.cli.collect:CollectCommand",
     "train": "rcs.cli.train:TrainCommand",
     "eval": "rcs.cli.eval:EvalCommand",
     "run": "rcs.cli.run:RunCommand",
+    "unblind": "rcs.cli.unblind:UnblindCommand",
+    "sweep": "rcs.cli.sweep:SweepCommand",
+    "compare": "rcs.cli.compare:CompareCommand",
+    "figures": "rcs.cli.figures:FiguresCommand",
     "data": "rcs.cli.data:VERBS",
     "calibrate": "rcs.cli.calibrate:VERBS",
     "sim": "rcs.cli.sim:SimCommand",
-    "ik": "rcs.cli.ik:IkCommand",
-    "plan": "rcs.cli.plan:PlanCommand",
+    "teleop": "rcs.cli.teleop:TeleopCommand",
     "home": "rcs.cli.home:HomeCommand",
-    "twin": "rcs.cli.twin:TwinCommand",
     "virtual": "rcs.cli.virtual:VirtualCommand",
-    "gallery": "rcs.cli.gallery:GalleryCommand",
     "list": "rcs.cli.list:ListCommand",
     "host": "rcs.cli.host:HostCommand",
     "stop": "rcs.cli.stop:StopCommand",

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-import inspect
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rcs_data import Dataset
@@ -18,22 +16,29 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from rcs.cli.setup_options import changed, flags, given
+from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.rollout.real_to_sim import Keep, real_to_sim
+from rcs.rollout.recorded_setup import setup_of
 from rcs.rollout.reexecute import ReexecutionResult, reexecute
 from rcs.rollout.replay import replay
-from rcs.rollout.replay_scene import Appearance
 from rcs.rollout.rerender import rerender
+from rcs.setups.resolve import with_camera_names
+
+if TYPE_CHECKING:
+    ReplayFlags = Setup
+else:
+    ReplayFlags = flags("as recorded")
 
 Kind = Literal["check", "render", "actions", "states"]
-
-REPLAYS: dict[Kind, Callable[..., Iterator[Any]]] = {
-    "check": replay,
-    "render": rerender,
-    "actions": reexecute,
-    "states": real_to_sim,
+_OF_ACTIONS = {"looks_seed", "only_success"}
+OPTIONS: dict[Kind, set[str]] = {
+    "check": set(),
+    "render": {"looks_seed"},
+    "actions": _OF_ACTIONS,
+    "states": {*_OF_ACTIONS, "task", "grace"},
 }
-"""What each kind calls, with the options of the command that are its arguments."""
+"""Options that only some kinds have."""
 WIDTH = 116
 """Width of the widest table [columns]."""
 MILLI = {"joints": "joints [mrad]", "position": "TCP [mm]", "rotation": "TCP [mrad]", "object_position": "object [mm]",
@@ -47,8 +52,7 @@ class ReplayCommand:
 
     `check` plays the recorded actions and compares all states bit for bit; exit code 1 if one differs. The other kinds
     make a new dataset: `render` restores the recorded states and renders new frames; `actions` executes the recorded
-    actions again and measures the deviation; `states` makes a simulated robot follow the recorded one, real or not, and
-    keeps the successes.
+    actions again and measures the deviation; `states` makes a simulated robot follow the recorded one, real or not.
     """
 
     path: tyro.conf.Positional[Path]
@@ -61,33 +65,29 @@ class ReplayCommand:
     """Processes; 0 for one per CPU core."""
     json: bool = False
     """Print JSON instead of a table."""
-    trust: tuple[str, ...] = ()
+    trust: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[MODULE ...]")] = ()
     """Modules that may be imported because the dataset's setup names them, such as `my_tasks`."""
-    grace: float = 1.0
-    """states: how long to hold the end if the task is not done yet [s]."""
+    environment: Annotated[ReplayFlags, tyro.conf.OmitArgPrefixes] = field(default_factory=ReplayFlags)
+    """The fields of `rcs.Setup` and `rcs.Cameras`, as in Python. `render` and `actions` take those of cameras, quality,
+    assets and randomisation, of which only what is seen changes; `states` takes all."""
+    looks_seed: int | None = None
+    """Randomise lights, colours, textures and camera poses with this seed; different seeds make variants."""
+    only_success: bool = False
+    """actions, states: keep successful episodes only."""
     task: str | None = None
     """states: the task that judges; None for that of the dataset's setup."""
-    robot: str | None = None
-    """states: the robot; None for that of the dataset's setup."""
-    objects: Path | None = None
-    """states: JSON file with the objects' poses, {episode: {name: [x, y, z, qx, qy, qz, qw]}} in the base frame; None
-    for those in the outcome's `objects`."""
-    state: str | None = None
-    """states: feature with joints, then gripper or hand, such as `observation/state` in foreign datasets; None for one
-    feature each."""
-    keep: Keep = "successes"
-    """states: episodes to keep in the new dataset."""
-    appearance: Appearance = field(default_factory=Appearance)
+    grace: float = 1.0
+    """states: how long to hold the end if the task is not done yet [s]."""
 
     def run(self) -> int:
         """Replay, print the results and return the exit code."""
-        options = self._options()
+        episodes = self._episodes()
         console = plain_console()
         progress = plain_console(stderr=True, soft_wrap=False) if self.json else console
         started = time.perf_counter()
         total = len(Dataset.open(self.path))
-        episodes = track(REPLAYS[self.kind](self.path, **options), "Replaying", total=total, console=progress)
-        results = sorted(episodes, key=lambda result: result.episode_id)
+        tracked = track(episodes, "Replaying", total=total, console=progress)
+        results = sorted(tracked, key=lambda result: result.episode_id)
         seconds = time.perf_counter() - started
         if self.json:
             values = {"kind": self.kind, "dataset": str(self.path), "seconds": seconds}
@@ -96,27 +96,41 @@ class ReplayCommand:
             self._print(results, seconds, console)
         return 1 if self.kind == "check" and not all(result.is_equal for result in results) else 0
 
-    def _options(self) -> dict[str, Any]:
-        """Return the arguments of this kind of replay.
+    def _episodes(self) -> Iterator[Any]:
+        """Begin the replay.
 
         Raises:
             InvalidSetup: An option was given that belongs to another kind, or `--out` is missing.
         """
-        if self.kind != "check" and self.out is None:
+        chosen = {name: getattr(self, name) for name in OPTIONS["states"]}
+        chosen = {name: value for name, value in chosen.items() if value != getattr(ReplayCommand, name)}
+        wrong = [*(chosen.keys() - OPTIONS[self.kind]), *(given(self.environment) if self.kind == "check" else ())]
+        if wrong:
+            names = ", ".join(f"--{name.replace('_', '-')}" for name in wrong)
+            raise InvalidSetup(f"{names} has no meaning for --kind {self.kind}; see `rcs data replay --help`.")
+        if self.kind == "check":
+            return replay(self.path, trust=self.trust)
+        if self.out is None:
             raise InvalidSetup(f"--kind {self.kind} makes a dataset; give its folder with --out.")
-        takes = {kind: set(inspect.signature(function).parameters) for kind, function in REPLAYS.items()}
-        for option in dataclasses.fields(self):
-            given, default = getattr(self, option.name), _default(option)
-            if option.name in ("path", "kind", "json") or option.name in takes[self.kind] or given == default:
-                continue
-            changed = [option.name]
-            if isinstance(given, Appearance):
-                parts = [part.name for part in dataclasses.fields(given)]
-                changed = [part for part in parts if getattr(given, part) != getattr(default, part)]
-            names = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
-            kinds = ", ".join(kind for kind, names in takes.items() if option.name in names)
-            raise InvalidSetup(f"{names} has no meaning for --kind {self.kind}; valid for {kinds}.")
-        return {name: getattr(self, name) for name in takes[self.kind] if name not in ("path", "source")}
+        chosen.pop("task", None)
+        more: dict[str, Any] = {**chosen, "setup": self._setup(), "workers": self.workers, "trust": self.trust}
+        if self.kind == "render":
+            return rerender(self.path, self.out, **more)
+        return reexecute(self.path, self.out, follow=self.kind, **more)
+
+    def _setup(self) -> Setup | None:
+        """Return the setup that the options ask for; None for the recorded one."""
+        options = given(self.environment)
+        if not options and self.task is None:
+            return None
+        dataset = Dataset.open(self.path)
+        try:
+            setup = setup_of(dataset, trust=self.trust, task=self.task)
+        except InvalidSetup:
+            if self.kind != "states" or self.task is None or "robot" not in options:
+                raise
+            setup = Setup(task=self.task, frequency=dataset.info.frequency)  # of a dataset that is not ours
+        return with_camera_names(changed(setup, options))
 
     def _print(self, results: Sequence[Any], seconds: float, console: Console) -> None:
         if self.kind == "check":
@@ -164,7 +178,3 @@ def summary(results: Sequence[ReexecutionResult]) -> str:
         words += f"; of {len(recorded)} recorded successes {sum(result.success for result in recorded)}"
     problems = sum(result.problem is not None for result in results)
     return words + (f"; {problems} could not be replayed" if problems else "")
-
-
-def _default(option: dataclasses.Field[Any]) -> Any:
-    return option.default if option.default_factory is dataclasses.MISSING else option.default_factory()

@@ -3,31 +3,44 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
+import tyro
 from rcs_data import DatasetWriter
 from rcs_data.cli.console import plain_console
 from rcs_data.cli.program import INTERRUPTED
+from rcs_data.ledger import Ledger, write_ledger_page
 from rcs_data.view import write_report
 from rich.console import Console
 
-from rcs.cli.runs import evaluation_folder, interruptible, results_table, show
+from rcs.agents.identity import identity_of
+from rcs.cli.runs import LedgerOptions, interruptible, show, tell
 from rcs.cli.setup_options import SetupOptions
+from rcs.cli.simulator_options import SimulatorOptions
+from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.policy import NOTES, Execution, Mode, ServedPolicy, fitted
-from rcs.rollout.episode import ask
-from rcs.rollout.evaluate import UNSEEN, Evaluation, Summary, evaluate
-from rcs.rollout.policy_report import write_policy_report
+from rcs.policy import NOTES, Execution, ServedPolicy, fitted
+from rcs.rollout.blind import evaluate_blind
+from rcs.rollout.evaluate import evaluate
+from rcs.rollout.evaluation import Evaluation, Summary
+from rcs.rollout.foreign import ForeignEnv
+from rcs.rollout.interactive.judge_page import JudgePage
+from rcs.rollout.outlines import Outlines
+from rcs.rollout.person import Asker, PersonJudge, ask_at_terminal
 from rcs.setups.make import make
+from rcs.sim.world import Stepping
 
 if TYPE_CHECKING:
     from vlagents import Metadata
+
+_WORDS = {True: "done", False: "not done", None: "not known"}
 
 
 @dataclass(kw_only=True)
@@ -40,30 +53,23 @@ class RunCommand(SetupOptions):
 
     With `--hardware`, the episodes are on real devices, which hold at the end of each, when the policy is late or lost,
     and when anything fails. Without `--judge`, nobody says how they went.
+
+    With `--simulator`, they are in another project's simulator, which says how they went. One that fails gives an
+    episode without a verdict.
     """
 
     policy: str
-    """Address of the policy: `vla://host:port`, `vlas://`, `unix://`, `ws://` or `wss://`. The environment variable
+    """Address of the policy: `vla://host:port`, `vlas://`, `ws://` or `wss://`. The environment variable
     `VLAGENTS_TOKEN` has the token."""
+    agent: tyro.conf.Suppress[None] = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    """The policy acts."""
     task: str = "PickCuboid"  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
     """Name of the task, such as PickCuboid, or `module:Class`."""
     episodes: int = 20
     """Number of episodes."""
     instruction: str | None = None
     """What the policy is told to do; what the task says when not given."""
-    execution: Mode = "receding"
-    """How chunks are executed: `open_loop` executes rows, then holds until the next answer; `receding` asks while the
-    rest is executed; `ensemble` takes the mean of all chunks; `rtc` blends over from the chunk in flight."""
-    rows: int | None = None
-    """Rows of a chunk that pass before the next one is asked for; all in `open_loop`, half of them otherwise."""
-    latency: float = 0.0
-    """How much later than asked an answer becomes known, in simulated time [s]."""
-    valid_for: float | None = None
-    """How old the observation may be that an action answers [s]; later, the robot holds."""
-    decay: float = 0.01
-    """ACT's m in `ensemble`: the weight of the i-th oldest chunk is exp(-m·i)."""
-    on_loss: Literal["reconnect", "end"] = "reconnect"
-    """What to do after the policy is lost, besides holding."""
+    execution: Annotated[Execution, tyro.conf.OmitArgPrefixes] = field(default_factory=Execution)
     timeout: float = 5.0
     """How long an answer may take by the clock [s]."""
     certificate: str | None = None
@@ -73,97 +79,152 @@ class RunCommand(SetupOptions):
     hardware: str | None = None
     """What is real: the JSON file of a site, or `driver:address` for all arms with their end effectors. All else is
     simulated, in real time. A device that fails ends the run."""
+    simulation: Annotated[SimulatorOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=SimulatorOptions)
+    blind: str | None = None
+    """Address of another policy, to compare the two blindly: both act on each seed, in a drawn order, and nothing on
+    screen says which. In files and on pages they are X and Y until `rcs unblind`."""
     judge: bool = False
-    """Ask at the terminal after each episode whether the task was done. The next one begins with the answer."""
+    """Ask at the terminal after each episode whether the task was done. The next one begins with the answer; the last
+    answer can be taken back, except with `--record`."""
+    page: str | None = None
+    """Ask on a page in the browser instead, at `HOST:PORT`, such as `127.0.0.1:8080`, which shows the pictures of the
+    cameras, and in them where the objects of the next episode go; `0.0.0.0:8080` lets other machines in, over TLS and
+    with a code."""
     real_time: bool = False
     """Step by the wall clock, and ask in a thread."""
+    ledger: Annotated[LedgerOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=LedgerOptions)
     record: Path | None = None
     """Folder of a dataset in which every episode is recorded, with latency, age and place in the chunk of each step."""
-    videos: int = 0
-    """Write videos of this many of the first episodes."""
-    out: Path | None = None
-    """New folder for the figures, the page and the videos; by default `evaluation`, or `evaluation-2` and so on."""
 
     def run(self) -> int:
         """Evaluate, print the results and return the exit code."""
         console, summary = plain_console(soft_wrap=False), Summary()
-        out = evaluation_folder(self.out)
-        served = self._served()
+        ledger, served = self.ledger.checked(), self._served(self.policy)
         metadata = served.metadata()
+        if self.blind is not None:
+            return self._compare_blindly(self.blind, served, ledger, console)
+        real = [name for name in ("hardware", "real_time") if getattr(self, name)]
+        simulator = self.simulation.foreign([*self.given, *real])
+        foreign = None if simulator is None else ForeignEnv(simulator)
         evaluation = Evaluation(
-            setup=self._setup(metadata),
+            setup=fitted_setup(self, metadata, "realtime" if self.real_time else None)
+            if foreign is None
+            else foreign.setup,
+            simulator=simulator,
             agent=served,
             episodes=self.episodes,
             seed=self.seed,
-            first_seed=UNSEEN,
-            videos=self.videos,
-            out=out,
+            **ledger,
         )
-        console.print(f"Policy: {metadata.name} at {self.policy}", soft_wrap=True)
-        started = time.perf_counter()
+        if not metadata.checkpoint_hash:
+            console.print(
+                f"{metadata.name} does not say which weights act: episodes of other weights with the same description "
+                "would be taken for its own. Give each its --name.",
+                soft_wrap=True,
+            )
+        started, videos = time.perf_counter(), 0
         try:
             with interruptible(summary, console, "Ending after the episode at work; Ctrl-C again ends at once."):
-                self._episodes(evaluation, summary, console)
+                self._episodes(evaluation, summary, console, foreign)
+            videos = self.ledger.videos
         finally:
-            if summary.attempts:
-                self._tell(evaluation, summary, metadata, time.perf_counter() - started, console)
+            tell(evaluation, summary, videos, time.perf_counter() - started, "one", console, self.record)
+            if summary.attempts and self.record is not None and self.record.is_dir():
+                console.print(f"Recorded: {write_report(self.record)}", soft_wrap=True)
         return INTERRUPTED if summary.is_interrupted else 0
 
-    def _served(self) -> ServedPolicy:
-        if "://" not in self.policy:
-            raise InvalidSetup(f"The policy is {self.policy!r}; valid is an address, such as vla://127.0.0.1:8090.")
-        execution = Execution(
-            mode=self.execution,
-            rows=self.rows,
-            latency=self.latency,
-            valid_for=self.valid_for,
-            decay=self.decay,
-            on_loss=self.on_loss,
-        )
+    def _compare_blindly(self, other: str, served: ServedPolicy, ledger: dict[str, Any], console: Console) -> int:
+        """Compare two policies blindly, and return the exit code."""
+        if (
+            wrong := ["simulator"] * (self.simulation.simulator is not None)
+            + ["record"] * (self.record is not None)
+            + ["videos"] * bool(self.ledger.videos)
+            + [name for name in ("name", "against", "until") if ledger[name] is not None]
+        ):
+            raise InvalidSetup(f"{', '.join(wrong)} cannot be combined with blind.")
+        setup = fitted_setup(self, served.metadata(), "realtime" if self.real_time else None)
+        one = Evaluation(setup=setup, agent=served, episodes=self.episodes, seed=self.seed, **ledger)
+        evaluations, summary = (one, replace(one, agent=self._served(other))), Summary()
+        with (
+            interruptible(summary, console),
+            make(setup, hardware=self.hardware) as env,
+            self._person(env, console) as judge,
+        ):
+            for attempt in evaluate_blind(evaluations, summary, env, judge=judge):
+                told = _WORDS[attempt.result.success]
+                console.print(f"Episode {len(summary.attempts)} of {2 * len(one.numbers)}: {told}")
+            if judge is not None and not summary.is_interrupted:
+                judge.end()
+        with Ledger(self.ledger.out) as made:
+            console.print(f"Report: {write_ledger_page(made)}", soft_wrap=True)
+        console.print(f"`rcs unblind {self.ledger.out}` says who X and Y are.", soft_wrap=True)
+        return INTERRUPTED if summary.is_interrupted else 0
+
+    @contextmanager
+    def _person(self, env: Env, console: Console) -> Generator[PersonJudge | None]:
+        """Yield who judges, at the terminal or on a page; None if nobody does."""
+        if not self.judge and self.page is None:
+            yield None
+            return
+        with ExitStack() as stack:
+            outlines = None if self.hardware is None else stack.enter_context(Outlines(env.setup))
+            ask: Asker = ask_at_terminal
+            if self.page is not None:
+                host, port = _host_and_port(self.page)
+                page = stack.enter_context(JudgePage(env, outlines, host=host, port=port))
+                console.print(f"Open {page.url} in a browser to judge.", soft_wrap=True)
+                ask = page.ask
+            yield PersonJudge(ask, outlines=outlines, can_undo=self.record is None)
+
+    def _served(self, address: str) -> ServedPolicy:
+        if "://" not in address:
+            raise InvalidSetup(f"The policy is {address!r}; valid is an address, such as vla://127.0.0.1:8090.")
         return ServedPolicy(
-            address=self.policy,
-            execution=execution,
+            address=address,
+            execution=self.execution,
             instruction=self.instruction,
             timeout=self.timeout,
             certificate=self.certificate,
             described_in=None if self.described_in is None else str(self.described_in),
         )
 
-    def _setup(self, metadata: Metadata) -> Setup:
-        """Return the setup that the options ask for, and the policy where they say nothing."""
-        setup = self.setup("realtime" if self.real_time else None, cameras="all")
-        given = set(self.given)
-        if given & {"control", "relative"}:
-            given |= {"control", "relative"}
-        if "camera_mode" in given:
-            given.add("image_size")
-        return fitted(setup, metadata, given)
-
-    def _episodes(self, evaluation: Evaluation, summary: Summary, console: Console) -> None:
-        env = make(evaluation.setup, hardware=self.hardware)
+    def _episodes(self, evaluation: Evaluation, summary: Summary, console: Console, foreign: ForeignEnv | None) -> None:
+        env = make(evaluation.setup, hardware=self.hardware) if foreign is None else foreign
         with env, ExitStack() as stack:
             recorder = None
             if self.record is not None:
                 info = dataset_info(env, instruction=self.instruction, notes=NOTES)
-                origin: dict[str, Any] = {**info.origin, "policy": evaluation.agent_name}
-                recorder = Recorder(stack.enter_context(DatasetWriter.open(self.record, replace(info, origin=origin))))
+                identity = identity_of(evaluation.agent, evaluation.setup.task)
+                origin: dict[str, Any] = {**info.origin, "policy": identity.name, "weights": identity.weights}
+                writer = DatasetWriter.open(self.record, replace(info, origin=origin), resume=True)
+                recorder = Recorder(stack.enter_context(writer))
                 env.add_observer(recorder)
-            judge = ask if self.judge else None
+            judge = stack.enter_context(self._person(env, console))
             attempts = evaluate(evaluation, summary, env=env, judge=judge, recorder=recorder)
-            if self.judge:  # a bar would write over the question
+            if judge is not None:  # a bar would write over the question
                 for attempt in attempts:
-                    told = {True: "done", False: "not done", None: "not known"}[attempt.result.success]
+                    told = _WORDS[attempt.result.success]
                     console.print(f"Episode {attempt.number + 1} of {self.episodes}: {told}")
+                if not summary.is_interrupted:
+                    judge.end()
                 return
             title = f"{evaluation.setup.task} on {evaluation.setup.robot_label}"
-            show(attempts, title, self.episodes, console, summary, lambda: len(summary.attempts))
+            show(attempts, title, len(evaluation.numbers), console, lambda: len(summary.attempts))
 
-    def _tell(
-        self, evaluation: Evaluation, summary: Summary, metadata: Metadata, seconds: float, console: Console
-    ) -> None:
-        console.print(results_table(summary, seconds, "one"))
-        figures = write_policy_report(evaluation, summary, metadata)
-        console.print(f"Figures: {figures.with_name('evaluation.json')}", soft_wrap=True)
-        console.print(f"Report: {figures}", soft_wrap=True)
-        if self.record is not None and self.record.is_dir():
-            console.print(f"Recorded: {write_report(self.record)}", soft_wrap=True)
+
+def _host_and_port(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise InvalidSetup(f"page is {text!r}; valid is HOST:PORT, such as 127.0.0.1:8080.")
+    return host, int(port)
+
+
+def fitted_setup(options: SetupOptions, metadata: Metadata, stepping: Stepping | None = None) -> Setup:
+    """Return the setup that options ask for, and the policy where they say nothing."""
+    setup = options.setup(stepping, cameras="all")
+    given = set(options.given)
+    if given & {"control", "relative"}:
+        given |= {"control", "relative"}
+    if "camera_mode" in given:
+        given.add("image_size")
+    return fitted(setup, metadata, given)

@@ -1,138 +1,163 @@
-"""What commands share: options of an environment; of `rcs collect` and `rcs eval` an agent, a bar and the results."""
+"""Parts that commands with episodes share: their processes, a bar, the results, and the reaction to Ctrl-C."""
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import time
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Protocol
 
-from rcs_data.output import require_writable
+from rcs_data.files.output import require_writable
+from rcs_data.ledger import Ledger, Row, write_ledger_page
+from rcs_data.ledger.compare import compare
+from rcs_data.ledger.ledger import FILMS_FOLDER, LEDGER_FILE
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from rcs.agents.agent import is_path
-from rcs.cli.setup_options import SetupOptions
-from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.rollout.cluster import LOCAL
 from rcs.rollout.collect import Attempt
-from rcs.rollout.evaluate import Summary
-from rcs.rollout.ray_pool import ClusterUsage
-from rcs.sim.world import Stepping
-from rcs.spatial import Pose
+from rcs.rollout.episode import EpisodeResult
+from rcs.rollout.evaluate import evaluate, film
+from rcs.rollout.evaluation import Evaluation, Summary
+from rcs.rollout.logbook import differs
+from rcs.rollout.recorded_films import cut_films
 
 ENDING = "Ending after the episodes at work; Ctrl-C again ends at once."
 """What is told at the first Ctrl-C."""
 
 
-USUAL_FOLDER = Path("evaluation")
-"""Folder of an evaluation for which none is given; with a number where it is taken."""
-
-
 @dataclass(kw_only=True)
-class ActorOptions(SetupOptions):
-    """Options of a command in whose environment an agent may act."""
+class PoolOptions:
+    """Processes that run episodes."""
 
-    agent: str | None = None
-    """Name of the agent, `module:Class`, which is called with the environment, or the path of a checkpoint. By default
-    the task's expert, or the policy of the checkpoint that is given in place of the task."""
-
-    @property
-    def actor(self) -> str | None:
-        """Who acts; None for the expert of the task. Of a run, it is the checkpoint that is best now."""
-        actor = self.checkpoint if self.agent is None else self.agent
-        if not is_path(actor):
-            return actor
-        from rcs.rl.checkpoint import find_checkpoint
-
-        return str(find_checkpoint(str(actor), trust=self.trust).path)
-
-    @property
-    def checkpoint(self) -> str | None:
-        """Path of the checkpoint, or of the run, whose environment is used; None for one of a task."""
-        return super().checkpoint or (self.agent if is_path(self.agent) else None)
-
-    def setup(self, stepping: Stepping | None = None, **usual: Any) -> Setup:
-        """Return the setup of the options; see `SetupOptions.setup`.
-
-        Raises:
-            InvalidSetup: The agent is a checkpoint of another task.
-        """
-        setup = super().setup(stepping, **usual)
-        if not is_path(self.task) and setup.task != self.task:
-            raise InvalidSetup(f"The checkpoint {self.agent} was trained for {setup.task}, not for {self.task}.")
-        return setup
-
-
-@dataclass(kw_only=True)
-class RunOptions(ActorOptions):
-    """Options of a command that runs an agent in seeded episodes."""
-
-    episodes: int = 20
-    """How many episodes."""
     workers: int = 0
-    """Processes; 0 for one per CPU core, with `--ray-address` of the whole cluster."""
-    ray: bool = False
-    """Run the processes with Ray, on this machine if there is no `--ray-address`; needs the extra `ray`."""
-    ray_address: str | None = None
-    """Address of a Ray cluster for the processes: `auto` for the one that this machine is a part of, or `host:port`."""
+    """Processes; 0 for one per CPU core, of the whole cluster with `--ray`."""
+    ray: str | None = None
+    """Address of a Ray cluster for the processes: `auto` for the one that this machine is a part of, or `host:port`;
+    needs the extra `ray`."""
 
-    @property
-    def processes(self) -> int:
-        """How many workers to start: no more than there are episodes; 0 for one per CPU of a cluster.
+    def processes(self, episodes: int) -> int:
+        """Return how many workers to start: no more than there are episodes; 0 for one per CPU of a cluster.
 
         Raises:
             InvalidSetup: The number asked for makes no sense.
         """
         if self.workers < 0:
             raise InvalidSetup(f"workers is {self.workers}; valid is 0 (one per core) and more.")
-        if self.cluster not in (None, LOCAL):
-            return self.workers
-        return min(self.workers or os.cpu_count() or 1, max(self.episodes, 1))
-
-    @property
-    def cluster(self) -> str | None:
-        """Address of the Ray cluster; None for processes without Ray."""
-        return self.ray_address or (LOCAL if self.ray else None)
+        return self.workers if self.ray else min(self.workers or os.cpu_count() or 1, max(episodes, 1))
 
 
-def pose_of(given: Sequence[float]) -> Pose:
-    """Return the pose that `--pose` gives as x y z [m], roll pitch yaw [rad].
+@dataclass(kw_only=True)
+class LedgerOptions:
+    """The ledger of an evaluation."""
 
-    Raises:
-        InvalidSetup: A number is not finite.
-    """
-    if not all(map(math.isfinite, given)):
-        raise InvalidSetup(f"--pose is {' '.join(map(str, given))}; valid are six finite numbers.")
-    return Pose.from_rpy(given[:3], given[3:])
+    out: Path = Path("evaluation")
+    """Folder of the ledger, which may have other evaluations; episodes that are there are not run again."""
+    name: str | None = None
+    """Name of the agent in the ledger; by default its own, such as `pick@40000`."""
+    tags: dict[str, str] | None = None
+    """Words for the ledger, by which figures can be ordered, such as `mix half`."""
+    repeat: int = 0
+    """Run each episode so many times again, though it is there."""
+    against: str | None = None
+    """Another agent in the ledger, by name or hash, for `--until`."""
+    until: float | None = None
+    """Level, such as 0.05: end as soon as the seeds shared with `--against` show which agent is better."""
+    videos: int = 0
+    """Then run so many episodes again from their seeds and film them; failures come first."""
+
+    def checked(self) -> dict[str, Any]:
+        """Return the fields of an `Evaluation` that these options are.
+
+        Raises:
+            InvalidSetup: `videos` is below 0.
+            DatasetError: The folder cannot be written.
+        """
+        if self.videos < 0:
+            raise InvalidSetup(f"videos is {self.videos}; valid is 0 and more.")
+        require_writable(self.out)
+        given = {own.name: getattr(self, own.name) for own in fields(self) if own.name != "videos"}
+        return {**given, "tags": self.tags or {}}
 
 
-def evaluation_folder(given: Path | None) -> Path:
-    """Return a folder for an evaluation that nothing is in, so that none is mixed with another.
+def attempts_of(evaluation: Evaluation, summary: Summary, pool: PoolOptions) -> tuple[Iterator[Attempt], int | str]:
+    """Return the attempts of an evaluation, and who makes them."""
+    is_trained = is_path(evaluation.agent) and evaluation.simulator is None
+    if pool.workers == 0 and pool.ray is None and is_trained and not evaluation.setup.cameras:
+        # Processes would each load torch; with cameras they are faster, for each draws and sees by itself.
+        from rcs.rl.evaluate import COPIES, evaluate_in_batch
+
+        copies = min(COPIES, evaluation.episodes)
+        return evaluate_in_batch(evaluation, summary), f"one, with a batch of {copies} copies"
+    made_by: int | str = (evaluation.ray and f"Ray cluster {evaluation.ray}") or evaluation.workers
+    return evaluate(evaluation, summary), made_by
+
+
+def tell(
+    evaluation: Evaluation,
+    summary: Summary,
+    videos: int,
+    seconds: float,
+    workers: int | str,
+    console: Console,
+    recording: Path | None = None,
+) -> None:
+    """Print the results of an evaluation, film some of its episodes, and write the page about the ledger.
 
     Args:
-        given: The folder that is asked for; None for the usual one.
-
-    Raises:
-        InvalidSetup: Something is in the folder that is given.
-        DatasetError: It cannot be written.
+        evaluation: The evaluation, which has a folder.
+        summary: Its results; nothing is told without any.
+        videos: How many episodes to film.
+        seconds: How long it took [s].
+        workers: Who made them, in words or a number of processes.
+        console: Where to print.
+        recording: The dataset in which the episodes were recorded, for films of real ones.
     """
-    folder = given or USUAL_FOLDER
-    number = 1
-    while given is None and os.path.lexists(folder):
-        number += 1
-        folder = USUAL_FOLDER.with_name(f"{USUAL_FOLDER.name}-{number}")
-    if folder.is_dir() and any(folder.iterdir()):
-        raise InvalidSetup(f"{folder} is not empty, and an evaluation has a folder of its own. Choose another --out.")
-    require_writable(folder)
-    return folder
+    if not summary.attempts or evaluation.out is None:
+        return
+    console.print(results_table(summary, seconds, workers))
+    with Ledger(evaluation.out) as ledger:
+        if videos and not summary.is_interrupted:
+            _film(evaluation, ledger, summary.condition, videos, recording, console)
+        if evaluation.against is not None:
+            (one,) = compare(ledger, [summary.condition, evaluation.against])
+            shown = f"evidence {one.pairs.evidence:.3g}, of {1 / (evaluation.until or 1.0):.3g} that are needed"
+            console.print(f"{one.words} Looking after every pair: {shown}.", soft_wrap=True)
+        for sentence in ledger.damage:
+            console.print(sentence, soft_wrap=True)
+        console.print(f"Ledger: {evaluation.out / LEDGER_FILE}", soft_wrap=True)
+        console.print(f"Report: {write_ledger_page(ledger)}", soft_wrap=True)
+
+
+def _film(
+    evaluation: Evaluation, ledger: Ledger, condition: str, videos: int, recording: Path | None, console: Console
+) -> None:
+    """Film episodes, and tell which of them ended differently."""
+    if ledger.condition(condition).is_real:
+        if recording is None:
+            console.print("Real episodes are filmed from their recording: give --record, too.", soft_wrap=True)
+            return
+        cut_films(recording, ledger, condition, videos)
+    else:
+        for row, result in film(evaluation, videos):
+            if differs(row, result):
+                console.print(
+                    f"Seed {row.seed} ended differently when it was filmed: {_outcome(row)}, then {_outcome(result)}. "
+                    "Its film is removed.",
+                    soft_wrap=True,
+                )
+    console.print(f"Videos: {ledger.folder / FILMS_FOLDER}", soft_wrap=True)
+
+
+def _outcome(result: Row | EpisodeResult) -> str:
+    verdict = {True: "success", False: "failure", None: "not judged"}[result.success]
+    return f"{result.failure or verdict} after {result.steps} steps"
 
 
 class Interruptible(Protocol):
@@ -141,15 +166,7 @@ class Interruptible(Protocol):
     is_interrupted: bool
 
 
-class Run(Interruptible, Protocol):
-    """A run of episodes."""
-
-    cluster: ClusterUsage | None
-
-
-def show(
-    attempts: Iterable[Attempt], title: str, total: int, console: Console, run: Run, done: Callable[[], int]
-) -> None:
+def show(attempts: Iterable[Attempt], title: str, total: int, console: Console, done: Callable[[], int]) -> None:
     """Go through attempts with a bar that tells how many succeed and how fast they are made.
 
     Args:
@@ -157,7 +174,6 @@ def show(
         title: What is written before the bar.
         total: How many there shall be in the end.
         console: Where the bar is.
-        run: Says where the attempts are made.
         done: Returns how many there are.
     """
     columns = (
@@ -177,8 +193,6 @@ def show(
                 made.attempts.append(attempt)
                 speed = len(made.attempts) / (time.perf_counter() - start)
                 told = f"{_rate(made)}, {speed:.2f} episodes/s"
-                if run.cluster is not None and len(run.cluster.machines) > 1:
-                    told += f" on {len(run.cluster.machines)} machines"
                 bar.update(task, completed=min(done(), total), told=told)
             bar.update(task, completed=min(done(), total))
         except BaseException:
@@ -188,7 +202,7 @@ def show(
             raise
 
 
-def results_table(summary: Summary, seconds: float, workers: int | str | ClusterUsage) -> Table:
+def results_table(summary: Summary, seconds: float, workers: int | str) -> Table:
     """Return how attempts went, and how fast they were made.
 
     Args:
@@ -196,15 +210,25 @@ def results_table(summary: Summary, seconds: float, workers: int | str | Cluster
         seconds: Wall time [s].
         workers: How many processes made them, or where they were made, in words.
     """
-    made, steps = len(summary.attempts), sum(result.steps for result in summary.results)
+    made = len(summary.attempts) - summary.found
+    steps = sum(attempt.result.steps for attempt in summary.attempts[summary.found :])
     low, high = (100 * bound for bound in summary.interval)
     interval = f"{summary.successes} of {summary.judged} = {_rate(summary, '')} (95 % Wilson interval {low:.1f} to "
     rate = made / seconds
     speed = f"{made} episodes in {seconds:.1f} s: {rate:.2f}/s, {1200 * rate:.0f} per 20 minutes"
+    speed = f"{speed}, {steps / seconds:.0f} steps/s" if made else "none was run"
     table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column()
+    table.add_column(overflow="fold")  # a long path is never cut
+    if (identity := summary.identity) is not None:
+        weights = "" if identity.weights is None else f", weights {identity.weights[:16]}"
+        place = f" at {identity.place}" if identity.place else ""
+        table.add_row("agent", f"{identity.name}{place}{weights}")
     table.add_row("success", f"{interval}{high:.1f} %)" if summary.judged else "not judged")
     table.add_row("failures", ", ".join(f"{name} {count}" for name, count in summary.failures.most_common()) or "none")
-    table.add_row("speed", f"{speed}, {steps / seconds:.0f} steps/s")
+    if summary.found:
+        table.add_row("found", f"{summary.found} of {len(summary.attempts)} episodes were in the ledger")
+    table.add_row("speed", speed)
     table.add_row("workers", str(workers))
     return table
 

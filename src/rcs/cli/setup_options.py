@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, make_dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import tyro
-from rcs_data.record import Record
+from rcs_data.options import Record
 from tyro.constructors import PrimitiveConstructorSpec
 
 from rcs.agents.agent import is_path
-from rcs.envs.cameras import Cameras
+from rcs.envs.cameras import ALL, Cameras
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.setups.resolve import with_camera_names
@@ -59,12 +59,12 @@ def flags(shown: str | None = None, **defaults: str) -> type[Any]:
 
 
 def _option(name: str, kind: Any, text: str) -> Any:
-    parts = list(_leaves(kind))
+    parts = _parts(kind)
     choices = tuple(str(one) for part in parts if get_origin(part) is Literal for one in get_args(part))
     choices = choices or (("true", "false") if bool in parts else ())
-    is_many = _has(kind, tuple) or _has(kind, Mapping) or bool in parts or Any in parts or name == "randomisation"
-    word = f"{{{','.join(choices)}}}" if choices else _word_for(name, kind, parts)
-    repeats = "" if choices and not _has(kind, tuple) else " ..."
+    is_many = bool({tuple, Mapping, bool, Any} & set(parts)) or name == "randomisation"
+    word = f"{{{','.join(choices)}}}" if choices else _word_for(name, parts)
+    repeats = "" if choices and tuple not in parts else " ..."
     spec = PrimitiveConstructorSpec(
         nargs="*" if is_many else 1,
         metavar=f"[{word}{repeats}]" if is_many else word,
@@ -76,7 +76,7 @@ def _option(name: str, kind: Any, text: str) -> Any:
     return Annotated[Any, spec, tyro.conf.arg(help=text)]
 
 
-def _word_for(name: str, kind: Any, parts: Sequence[Any]) -> str:
+def _word_for(name: str, parts: Sequence[Any]) -> str:
     if Any in parts and str not in parts:
         return "NAME=VALUE" if name != "gates" else "GATE"
     return "INT" if int in parts else "FLOAT" if float in parts else name.split("_")[-1].rstrip("s").upper()
@@ -84,13 +84,13 @@ def _word_for(name: str, kind: Any, parts: Sequence[Any]) -> str:
 
 def _value(name: str, words: Sequence[str], kind: Any) -> Any:
     """Return the value of an option from the words on the command line; a setup checks it."""
-    parts = list(_leaves(kind))
+    parts = set(_parts(kind))
     if bool in parts:
         if len(words) > 1:
             raise ValueError(f"one of true and false is expected, not {' '.join(words)}; no word is true")
         return list(words) != ["false"]
-    is_text = not {int, float, Any} & set(parts)
-    if any("=" in word for word in words) and (_has(kind, Mapping) or Any in parts):
+    is_text = not {int, float, Any} & parts
+    if any("=" in word for word in words) and {Mapping, Any} & parts:
         pairs = [word.partition("=") for word in words]
         if wrong := [key for key, sign, _ in pairs if not (key and sign)]:
             raise ValueError(f"{wrong[0]!r} is written as name=value, such as lift_height=0.05")
@@ -100,7 +100,7 @@ def _value(name: str, words: Sequence[str], kind: Any) -> Any:
     values = [_word(word, is_text) for word in words]
     if not values and name in ("randomisation", "pixels"):
         return True
-    is_single = len(values) == 1 and not (_has(kind, tuple) and is_text) and name not in ("gates", "layers")
+    is_single = len(values) == 1 and not (tuple in parts and is_text) and name not in ("gates", "layers")
     return values[0] if is_single else values
 
 
@@ -113,25 +113,16 @@ def _word(word: str, is_text: bool) -> Any:
         return None if word.lower() == "none" else word
 
 
-def _leaves(kind: Any) -> Any:
-    """Give the types that a type is made of; records and mappings have values of any type."""
-    origin, parts = get_origin(kind), get_args(kind)
+def _parts(kind: Any) -> list[Any]:
+    """Return the types that a type is made of, `tuple` and `Mapping` among them; records have values of any type."""
+    origin, inner = get_origin(kind), get_args(kind)
     if origin is Annotated:
-        yield from _leaves(parts[0])
-    elif origin in (Union, types.UnionType, tuple):
-        for part in parts:
-            yield from _leaves(part)
-    elif isinstance(origin, type) and issubclass(origin, Mapping):
-        yield from _leaves(parts[1])
-    else:
-        yield Any if isinstance(kind, type) and issubclass(kind, Record) else kind
-
-
-def _has(kind: Any, wanted: type) -> bool:
-    origin, parts = get_origin(kind), get_args(kind)
-    if origin in (Union, types.UnionType, Annotated):
-        return any(_has(part, wanted) for part in parts)
-    return isinstance(origin, type) and issubclass(origin, wanted)
+        return _parts(inner[0])
+    if origin in (Union, types.UnionType, tuple):
+        return [*(part for one in inner for part in _parts(one)), *((tuple,) if origin is tuple else ())]
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return [Mapping, *_parts(inner[1])]
+    return [Any if isinstance(kind, type) and issubclass(kind, Record) else kind]
 
 
 def _texts(record: type[Record]) -> dict[str, str]:
@@ -176,6 +167,13 @@ def changed(setup: Setup, options: Mapping[str, Any]) -> Setup:
     """
     fields = {OF_CAMERAS.get(own.name, own.name): own.name for own in dataclasses.fields(Cameras)}  # pyright: ignore[reportArgumentType]
     of_cameras = {fields[name]: value for name, value in options.items() if name in fields}
+    if "image_size" in of_cameras:
+        of_cameras.setdefault("mode", None)
+    if "names" in of_cameras:  # sizes and rates of cameras that are left out go, too
+        shown, before = Cameras(names=of_cameras["names"]).names, setup.cameras
+        for name in ("image_size", "fps", "mounts"):
+            if isinstance(value := getattr(before, name), Mapping) and shown != (ALL,):
+                of_cameras.setdefault(name, {camera: own for camera, own in value.items() if camera in shown})
     changes = {name: value for name, value in options.items() if name not in fields}
     if "task_options" in changes:
         changes["task_options"] = {**setup.task_options, **_named(changes["task_options"])}
@@ -190,11 +188,14 @@ def _named(options: Any) -> Mapping[str, Any]:
 
 @dataclass(kw_only=True)
 class SetupOptions:
-    """Options of a command that makes an environment."""
+    """Options of a command that makes an environment in which an agent acts."""
 
     task: tyro.conf.Positional[str]
     """Name of the task, such as PickCuboid, or `module:Class`; or the path of a checkpoint, or of a run, for the
     environment that it was trained in."""
+    agent: str | None = None
+    """Name of the agent, `module:Class`, which is called with the environment, or the path of a checkpoint. By default
+    the task's expert, or the policy of the checkpoint that is given in place of the task."""
     seed: int = 0
     """Random seed of the episodes."""
     trust: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[MODULE ...]")] = ()
@@ -205,7 +206,17 @@ class SetupOptions:
     @property
     def checkpoint(self) -> str | None:
         """Path of the checkpoint, or of the run, whose environment is used; None for one of a task."""
-        return self.task if is_path(self.task) else None
+        return next((path for path in (self.task, self.agent) if is_path(path)), None)
+
+    @property
+    def actor(self) -> str | None:
+        """The agent; None for the expert of the task. For a run, it is the best checkpoint so far."""
+        actor = self.checkpoint if self.agent is None else self.agent
+        if not is_path(actor):
+            return actor
+        from rcs.rl.checkpoint import find_checkpoint
+
+        return str(find_checkpoint(str(actor), trust=self.trust).path)
 
     @property
     def given(self) -> dict[str, Any]:
@@ -220,7 +231,7 @@ class SetupOptions:
             usual: Values of options that are not given, without a checkpoint.
 
         Raises:
-            InvalidSetup: An option makes no sense, or there is no checkpoint.
+            InvalidSetup: An option makes no sense, or the agent is a checkpoint of another task, or there is none.
             CorruptCheckpoint: The checkpoint is damaged.
             UnknownName: There is no such robot.
         """
@@ -230,4 +241,7 @@ class SetupOptions:
         from rcs.rl.checkpoint import find_checkpoint
 
         training = find_checkpoint(self.checkpoint, trust=self.trust).training
-        return with_camera_names(changed(training.evaluation_setup, options))
+        setup = with_camera_names(changed(training.evaluation_setup, options))
+        if not is_path(self.task) and setup.task != self.task:
+            raise InvalidSetup(f"The checkpoint {self.agent} was trained for {setup.task}, not for {self.task}.")
+        return setup

@@ -1,95 +1,80 @@
-"""`rcs sim`: an environment to look at and to lead by hand, in a window or in the browser."""
+"""`rcs sim`: an environment to look at and to lead by hand, on a page in the browser."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
+import tyro
 from rcs_data.cli.console import plain_console
-from rich.console import Console
 
-from rcs.cli.runs import ActorOptions
+from rcs.cli.setup_options import SetupOptions
 from rcs.errors import InvalidSetup
+from rcs.rollout.interactive.browser_view import BrowserView
 from rcs.rollout.interactive.session import Session, playable
-from rcs.sim.viewer import has_display
+from rcs.teleop import operator_for
 
 
 @dataclass(kw_only=True)
-class SimCommand(ActorOptions):
-    """Look at a simulated environment and lead its robots by hand.
+class SimCommand(SetupOptions):
+    """Look at an environment and lead its robots by hand, on a page in the browser.
 
-    Where there is a display, MuJoCo's own viewer opens; where there is none, or with `--browser`, a page to open in a
-    browser, with a target to drag for every robot, sliders, and the pictures of the cameras. Time passes as on the
-    wall clock. With `--agent`, or a checkpoint in place of the task, that acts instead. Ctrl-C ends it.
+    The page has a target to drag for every robot, sliders, and the pictures of the cameras. Time passes as on the wall
+    clock. With `--agent`, or a checkpoint in place of the task, that acts instead. One page leads, others show; when it
+    is closed, the robots stay. With `--record`, its buttons begin and judge takes. Ctrl-C ends it.
     """
 
     agent: str | None = None
     """Who acts in your place: the name of an agent, `module:Class`, which is called with the environment, or the path
     of a checkpoint. Nobody does by default, and the page can have the task's expert act."""
-    browser: bool = False
-    """Serve a page for the browser also where there is a display."""
     host: str = "127.0.0.1"
-    """Address at which the page is served; 0.0.0.0 lets everybody in the network in, without a password."""
+    """Address at which the page is served; 0.0.0.0 lets other machines in, over TLS and with a code."""
     port: int = 8080
     """Port of the page, or the next one that is free; 0 for any."""
+    hardware: str | None = None
+    """Real devices: the JSON file of a site, or `driver:address` for all arms with their end effectors."""
+    input: str | None = None
+    """Device in your hands that leads in place of the page, as of `rcs teleop`."""
+    record: Path | None = None
+    """Folder of the dataset of takes; an existing one is continued. Nothing is recorded by default."""
+    instruction: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[TEXT ...]")] = ()
+    """Instructions of the takes, in turn; by default that of the task."""
     paused: bool = False
     """Begin without letting time pass."""
 
     def run(self) -> int:
-        """Simulate until Ctrl-C, or until the window is closed."""
+        """Simulate until Ctrl-C or SIGTERM."""
         if not 0 <= self.port <= 65535:
             raise InvalidSetup(f"port is {self.port}; valid is 0 (any) to 65535.")
-        console = plain_console()
-        in_browser = self.browser or not has_display()
-        setup, actor = self.setup(), self.actor
-        session = Session(playable(setup, keep_gripper=actor is not None), seed=self.seed, agent=actor)
+        if self.input is not None and self.agent is not None:
+            raise InvalidSetup("Both a device and an agent are to act; `rcs teleop` has you take over from an agent.")
+        setup, actor = self.setup(), self._acting()
+        session = Session(
+            playable(setup, keep_gripper=self.actor is not None),
+            seed=self.seed,
+            agent=actor,
+            hardware=self.hardware,
+            out=self.record,
+            instructions=self.instruction,
+        )
         session.is_playing = not self.paused
-        if actor is not None:
-            try:
-                session.let_agent(True)
-            except BaseException:
-                session.close()
-                raise
-        with ended_by_signals():
-            if in_browser:
-                self._serve(session, console)
-            else:
-                _show(session, console)
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            with session:
+                if actor is not None:
+                    session.let_agent(True)
+                with BrowserView(session, host=self.host, port=self.port) as view:
+                    plain_console().print(f"Open {view.url} in a browser. Ctrl-C ends.")
+                    view.run()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            signal.signal(signal.SIGTERM, before)
         return 0
 
-    def _serve(self, session: Session, console: Console) -> None:
-        from rcs.rollout.interactive.browser_view import BrowserView
-
-        view = BrowserView(session, host=self.host, port=self.port)
-        try:
-            with view:
-                console.print(f"Open {view.url} in a browser. Ctrl-C ends.")
-                view.run()
-        finally:
-            view.session.close()
-
-
-def _show(session: Session, console: Console) -> None:
-    from rcs.rollout.interactive.window import Window
-
-    with session, Window(session) as window:
-        console.print(window.HELP)
-        window.run()
-
-
-@contextmanager
-def ended_by_signals() -> Generator[None]:
-    """Take Ctrl-C and SIGTERM for a wish to end, which is no error."""
-
-    def on_termination(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, on_termination)
-    try:
-        yield
-    except KeyboardInterrupt:
-        pass
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    def _acting(self) -> Any:
+        """Return who acts in place of the page; None for the page, and the task's expert on request."""
+        given = self.input
+        return self.actor if given is None else lambda env: operator_for(env, given)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rcs_data.cli.console import plain_console
 from rcs_data.cli.program import INTERRUPTED
-from rcs_data.finetune.lerobot import LerobotPolicy
-from rcs_data.verdicts import wilson_interval
+from rcs_data.convert.recipe.recipe import LerobotPolicy
+from rcs_data.read.verdicts import wilson_interval
 from rcs_data.view.charts import short
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
@@ -21,16 +21,13 @@ from rich.text import Text
 from rcs.cli.runs import interruptible
 from rcs.cli.setup_options import changed, flags, given
 from rcs.cli.train_policy import Imitation, train_policy
-from rcs.cli.train_seeds import train_each
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.rl.algorithms import AlgorithmName
-from rcs.rl.checkpoint import Score
+from rcs.rl.checkpoint import Score, read_training
 from rcs.rl.recipes import RECIPES, recipe_for
 from rcs.rl.report import write_report
-from rcs.rl.run import read_training
 from rcs.rl.train import Progress, require_trainable, train
-from rcs.rl.training import Training
+from rcs.rl.training import AlgorithmName, Course, Training
 from rcs.setups.lab import lab_of
 from rcs.setups.resolve import with_camera_names
 
@@ -59,12 +56,6 @@ class TrainCommand:
     """Folder of a run to go on with, in place of a task; other options are then those of its beginning."""
     steps: int | None = None
     """Environment steps of the whole training, of all copies together."""
-    seed: int = 0
-    """Same seed, same weights, on the same machine."""
-    seeds: tuple[int, ...] = ()
-    """Train with all of these seeds at a time, in folders `seed-N` of `--out`, with Ray; needs the extra `ray`."""
-    ray_address: str | None = None
-    """Address of the Ray cluster that trains `--seeds`, such as `auto`; without it, this machine does."""
     copies: int | None = None
     """Copies of the environment that are stepped together."""
     environment: Annotated[TrainFlags, tyro.conf.OmitArgPrefixes] = field(default_factory=TrainFlags)
@@ -72,20 +63,11 @@ class TrainCommand:
     cameras does not observe where the objects are. With another control than the recipe's, its layers are left out."""
     learning_rate: float | None = None
     """Step size of the learner at the start."""
-    evaluate_every: int = 0
-    """Steps between two evaluations; 0 for a twentieth of all."""
-    episodes: int = 50
-    """Episodes of an evaluation, none of which training sees; 0 for no evaluations."""
-    checkpoint_every: int = 0
-    """Steps between two checkpoints; 0 for one at every evaluation."""
+    course: Annotated[Course, tyro.conf.OmitArgPrefixes] = field(default_factory=Course)
     video: bool = True
     """Film an episode at every evaluation, for the report."""
-    device: str = "cpu"
-    """Where the networks are: `cpu`, or `cuda` for a GPU."""
     threads: int = 0
     """Threads for physics and drawing; 0 for one per CPU. They change no result."""
-    torch_threads: int = 0
-    """Threads of torch on the CPU; 0 for one, or for one per CPU with cameras."""
     trust: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[MODULE ...]")] = ()
     """Modules of which the environment of `--resume` may have classes; importing them runs their code."""
     policy: LerobotPolicy | None = None
@@ -107,11 +89,6 @@ class TrainCommand:
         if self.dataset or self.lerobot_environment or self.state or self.lerobot:
             raise InvalidSetup("--dataset, --environment, --state and --lerobot belong to --policy; give one.")
         training, out = self._training()
-        if self.seeds:
-            videos, address = self.video, self.ray_address
-            return train_each(
-                training, self.seeds, out, console, ray_address=address, threads=self.threads, videos=videos
-            )
         try:
             with interruptible(progress, console, "Ending after the update at work; Ctrl-C again ends at once."):
                 _show(training, out, progress, console, self.threads, self.video)
@@ -126,23 +103,19 @@ class TrainCommand:
                 "--policy learns from a dataset, in LeRobot's environment: give --dataset and --environment, a folder "
                 "that `vlagents recipe lerobot | sh -s -- FOLDER` has made."
             )
-        if self.task or self.resume is not None or self.seeds:
-            raise InvalidSetup("With --policy, give no task, --resume or --seeds; the same command goes on with a run.")
+        if self.task or self.resume is not None:
+            raise InvalidSetup("With --policy, give no task or --resume; the same command goes on with a run.")
         steps = () if self.steps is None else (f"--steps={self.steps}",)
         return Imitation(
             policy=policy,
             dataset=self.dataset,
             environment=self.lerobot_environment,
-            out=self.out or Path("runs", f"{self.dataset.resolve().name}-{policy}-{self.seed}"),
+            out=self.out or Path("runs", f"{self.dataset.resolve().name}-{policy}-{self.course.seed}"),
             state=self.state,
-            more=(f"--seed={self.seed}", *steps, *(f"--{option}" for option in self.lerobot)),
+            more=(f"--seed={self.course.seed}", *steps, *(f"--{option}" for option in self.lerobot)),
         )
 
     def _training(self) -> tuple[Training, Path]:
-        if self.ray_address is not None and not self.seeds:
-            raise InvalidSetup("A cluster trains several seeds; give --seeds with --ray-address.")
-        if self.seeds and self.resume is not None:
-            raise InvalidSetup("--resume goes on with one run; the same command with --seeds goes on with all of them.")
         if self.resume is not None:
             if self.task or self.out is not None:
                 raise InvalidSetup("With --resume, give neither a task nor --out: the run's folder says both.")
@@ -160,10 +133,10 @@ class TrainCommand:
             steps=recipe.steps if self.steps is None else self.steps,
             algorithm=replace(recipe.algorithm, **rate),
             evaluation_steps=recipe.evaluation_steps if "max_episode_steps" not in given(self.environment) else 0,
-            **{name: getattr(self, name) for name in _OF_TRAINING},
+            **vars(self.course),
         )
         name = self.task.replace(":", ".").replace(os.sep, ".")
-        run = f"{name}-{setup.robot_label}-{self.algo}" + ("" if self.seeds else f"-{self.seed}")
+        run = f"{name}-{setup.robot_label}-{self.algo}-{self.course.seed}"
         return training, self.out or Path("runs", run)
 
     def _recipe(self) -> Training:
@@ -177,7 +150,7 @@ class TrainCommand:
             known = ", ".join(task for task, algorithm in RECIPES if algorithm == self.algo)
             raise InvalidSetup(
                 f"{self.algo!r} needs a teacher, and has one for {known}, not for {self.task!r}. Choose one of these, "
-                "`--algo ppo` or `--algo sac`; rcs.rl takes teachers of your own."
+                "or `--algo ppo`; rcs.rl takes teachers of your own."
             )
         lab, names = lab_of(self._robot).cameras, recipe.setup.cameras.names
         if not self._cameras and not set(names) <= {*lab}:
@@ -202,10 +175,6 @@ class TrainCommand:
         return with_camera_names(changed(setup, options))
 
 
-_OF_TRAINING = ("seed", "evaluate_every", "episodes", "checkpoint_every", "device", "torch_threads")
-"""Options that are fields of a training."""
-
-
 class _TimeLeft(ProgressColumn):
     """Time that is left, from the steps of this process alone: those before a kill were not made now."""
 
@@ -228,10 +197,10 @@ def _show(training: Training, out: Path, progress: Progress, console: Console, t
         soft_wrap=True,
     )
     columns = (
-        TextColumn("{task.fields[doing]:10}", markup=False),
+        TextColumn("{task.fields[doing]:10}"),
         BarColumn(bar_width=12),
-        TextColumn("{task.fields[made]} steps, {task.fields[speed]:.0f}/s", markup=False),
-        TextColumn("{task.fields[told]}", markup=False),
+        TextColumn("{task.fields[made]} steps, {task.fields[speed]:.0f}/s"),
+        TextColumn("{task.fields[told]}"),
         _TimeLeft(),
     )
     noted, scored = 0, progress.score
@@ -259,7 +228,7 @@ def _summarise(progress: Progress, out: Path, console: Console) -> None:
         told = _rate(progress.best.score)
         console.print(f"Best: {progress.best.path}, success {told}", soft_wrap=True)
     console.print(f"Report: {write_report(out)}", soft_wrap=True)
-    console.print(f"Evaluate: rcs eval {out} --episodes 300 --video", soft_wrap=True)
+    console.print(f"Evaluate: rcs eval {out} --episodes 300 --videos 10", soft_wrap=True)
 
 
 def _rate(score: Score) -> str:

@@ -10,15 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rcs_data import Dataset
-from rcs_data.cli.export import ExportCommand
+from rcs_data.cli.convert import ExportCommand
 from rcs_data.convert.options import ExportOptions
-from rcs_data.finetune.contents import contents
-from rcs_data.finetune.lerobot import FILE, LerobotPolicy, lerobot
+from rcs_data.convert.recipe.contents import contents
+from rcs_data.convert.recipe.recipe import LerobotPolicy, recipe
 from rich.console import Console
 
 from rcs.errors import InvalidSetup
 
 SOURCE = "source.json"
+PROGRAM = "vlagents.policies.lerobot_train"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +33,7 @@ class Imitation:
     environment: Path
     """Folder of LeRobot's environment."""
     out: Path
-    """Folder for the export, the program and the run."""
+    """Folder for the export, the recipe and the run."""
     state: tuple[str, ...] | None = None
     """Features that the policy is told; None for joints and grippers."""
     more: tuple[str, ...] = ()
@@ -40,7 +41,7 @@ class Imitation:
 
 
 def train_policy(imitation: Imitation, console: Console) -> int:
-    """Export the dataset, write the program, run it, and say how the policy is served; the same again goes on.
+    """Export the dataset, write the recipe, run LeRobot, and say how the policy is served; the same again goes on.
 
     Raises:
         InvalidSetup: There is no such environment, or the run began with another dataset.
@@ -53,7 +54,7 @@ def train_policy(imitation: Imitation, console: Console) -> int:
         )
     dataset, out = Dataset.open(imitation.dataset), imitation.out
     options = ExportOptions(state=imitation.state)
-    written = lerobot(contents(dataset, options), imitation.policy)
+    made = recipe(imitation.policy, contents(dataset, options))
     source = {
         "policy": imitation.policy,
         "digest": dataset.digest(),
@@ -61,11 +62,12 @@ def train_policy(imitation: Imitation, console: Console) -> int:
     }
     _check_source(out, source)
     if not (out / "export").exists():
-        ExportCommand(path=imitation.dataset, out=out / "export", format=written.export_format, more=options).run()
-    written.write(out / "recipe")
+        ExportCommand(path=imitation.dataset, out=out / "export", format=made.export_format, more=options).run()
+    made.write(out / "recipe")
     (out / SOURCE).write_text(json.dumps(source, indent=2) + "\n", encoding="utf-8")
-    run, program = out / "run", out / "recipe" / FILE
-    code = subprocess.run([python, program, out / "export", run, *imitation.more], check=False).returncode
+    run = out / "run"
+    words = [python, "-m", PROGRAM, out / "recipe" / "lerobot.json", out / "export", run, *imitation.more]
+    code = subprocess.run(words, check=False).returncode
     if code:
         console.print(f"LeRobot ended with {code}; the same command goes on from its last checkpoint.", soft_wrap=True)
         return code

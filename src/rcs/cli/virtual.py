@@ -20,7 +20,9 @@ class VirtualCommand:
     `rcs virtual so101` prints one line of JSON when it is ready: its name, and the site at which drivers find it.
     `rcs virtual tell NAME FAULT` has something go wrong with one that runs, such as `freeze 2`, `cut`, `late 60/100`
     (one packet in 100 comes 60 ms late), `lose 3` or `corrupt 3`; `reset SEED` places the objects anew, and `clear`
-    mends everything. `judge` answers whether the task was done since then, `about` with name, site and setup.
+    mends everything. A camera or tactile sensor is told by its name, such as `fr3/wrist`: `freeze S`, `delay MS`,
+    `drop P`, `black`, `tear`, `unplug S`, `swap OTHER` or `clear`. `judge` answers whether the task was done since
+    then, `about` with name, site and setup.
     """
 
     words: tyro.conf.Positional[tuple[str, ...]]
@@ -34,6 +36,10 @@ class VirtualCommand:
     """Where the objects are: as in an environment that is reset with this seed."""
     log: Path | None = None
     """File for what it gets and does, as JSON lines; every tick is in a binary file beside it."""
+    cameras: tuple[str, ...] = ()
+    """Cameras of the lab that it serves, too, such as: wrist side."""
+    tactile: bool = False
+    """Serve tactile sensors in the place of the gripper's pads, too."""
 
     def run(self) -> int:
         """Do one of both."""
@@ -54,7 +60,9 @@ class VirtualCommand:
         from rcs.virtual.virtual_world import VirtualWorld, usual_setup
 
         setup = usual_setup(robot) if self.setup is None else _read(self.setup, robot)
-        world = VirtualWorld(setup, address=self.address, seed=self.seed, log=self.log)
+        world = VirtualWorld(
+            setup, address=self.address, seed=self.seed, log=self.log, cameras=self.cameras, tactile=self.tactile
+        )
         try:
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: world.end())

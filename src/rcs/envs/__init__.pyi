@@ -6,13 +6,12 @@ from rcs.envs.gates.guard import Guard as Guard
 from rcs.envs.layers.layer import CopyIndex as CopyIndex
 from rcs.envs.layers.layer import Layer as Layer
 from rcs.envs.limits import Limits as Limits
+from rcs.envs.observer import Note as Note
 from rcs.envs.observer import Observer as Observer
-from rcs.envs.observer import Show as Show
 from rcs.envs.observer import Transition as Transition
 from rcs.envs.observers.dataset_info import dataset_info as dataset_info
 from rcs.envs.observers.in_background import InBackground as InBackground
 from rcs.envs.observers.recorder import Recorder as Recorder
-from rcs.envs.observers.takes import Takes as Takes
 from rcs.envs.observers.twin import Alarm as Alarm
 from rcs.envs.observers.twin import Comparison as Comparison
 from rcs.envs.observers.twin import Twin as Twin
@@ -20,8 +19,7 @@ from rcs.envs.planner_for import ScenePlanner as ScenePlanner
 from rcs.envs.planner_for import planner_for as planner_for
 from rcs.envs.ports.camera import CameraPort as CameraPort
 from rcs.envs.ports.port import ArmPort as ArmPort
-from rcs.envs.ports.port import GripperPort as GripperPort
-from rcs.envs.ports.port import HandPort as HandPort
+from rcs.envs.ports.port import EffectorPort as EffectorPort
 from rcs.envs.ports.port import Port as Port
 from rcs.envs.spaces import Action as Action
 from rcs.envs.spaces import Observation as Observation

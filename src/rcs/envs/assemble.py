@@ -9,9 +9,8 @@ from functools import partial
 
 from gymnasium.vector import AutoresetMode
 
-from rcs.devices import Gripper
 from rcs.envs import spaces as keys
-from rcs.envs.control_layers import layers_of, limit_step
+from rcs.envs.control_layers import layers_of, limit_step, native_space, require_native
 from rcs.envs.env import Env
 from rcs.envs.layers import (
     LateActions,
@@ -19,12 +18,11 @@ from rcs.envs.layers import (
     PointClouds,
     WristCamera,
 )
-from rcs.envs.native import native_space, require_native
 from rcs.envs.parts import Parts
 from rcs.envs.ports.camera import CameraPort, FreshFrames
 from rcs.envs.ports.loads import PrivilegedPort, SimContactPort, SimLoadPort
-from rcs.envs.ports.port import ArmPort, GripperPort, HandPort, Port, is_streamed
-from rcs.envs.ports.simulated import FollowPort, SimArmPort, SimGripperPort, SimHandPort
+from rcs.envs.ports.port import ArmPort, EffectorPort, Port, is_streamed
+from rcs.envs.ports.simulated import SimArmPort, SimEffectorPort
 from rcs.envs.ports.simulated_cameras import PixelPort, SimCameraPort, SimTactilePort
 from rcs.envs.setup import Setup
 from rcs.envs.start import base_in_scene
@@ -38,7 +36,7 @@ from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.sim.camera import SimCameras
-from rcs.sim.frame_clock import FrameClock, FrameRate
+from rcs.sim.camera_feed import FrameClock, FrameRate
 from rcs.sim.loads import CollisionGuard
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import CameraPlacement, RobotPlacement, Scene
@@ -190,7 +188,9 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
             for robot in bodies.values():
                 robot.wait_for_arrival(_longest_latency(setup))
         clock = _frame_clock(setup, simulated, world) if simulated else None
-        randomiser = _randomiser(parts, world)
+        if (ranges := setup.randomisation) is not None:
+            objects = parts.task.objects()
+            randomiser = Randomiser(world, ranges, objects=objects, robots=parts.robots, cameras=parts.cameras)
         robots = list(bodies.values())
         simulation = Simulation(
             world, robots, parts.task, randomiser, clock, parts.clutter, reward=setup.reward, discount=setup.discount
@@ -210,12 +210,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
             "pixels out of the setup."
         )
     points = [PointClouds()] if setup.cameras.points else []
-    views = [
-        _real_cameras(parts, [camera for camera in real if setup.cameras.size_of(camera.name) == size])
-        for size in dict.fromkeys(setup.cameras.size_of(camera.name) for camera in real)
-    ]
-    if devices.tactile:
-        views.append(_real_tactile(parts))
+    views = [_real_cameras(parts, real)] if real or devices.tactile else []
     shared += views
     if devices.on_stale == "hold":
         gates += [FreshFrames(port) for port in views]
@@ -269,18 +264,15 @@ def _ports_of(parts: Parts, placement: RobotPlacement, body: SimRobot | None) ->
         times = _times(parts, devices.stale_after)
         if times and parts.setup.stepping != "sync":
             times["slow_after"] = SLOW_READ / parts.setup.frequency
-        ports.append(GripperPort(effector, **times) if isinstance(effector, Gripper) else HandPort(effector, **times))
-    elif body is not None and placement.gripper is not None:
-        ports.append(SimGripperPort(body))
-    elif body is not None and placement.hand is not None:
-        ports.append(SimHandPort(body))
+        ports.append(EffectorPort(effector, **times))
+    elif body is not None and placement.end_effector is not None:
+        ports.append(SimEffectorPort(body))
     if "contacts" in observed:
         if body is None or effector is not None:
             raise InvalidSetup("Contacts of a real gripper are not measured; leave 'contacts' out of observe.")
         ports.append(SimContactPort(body))
-    real = [port for port in ports if port.device is not None]
-    if body is not None and real:
-        ports = [FollowPort(body, port) if port in real else port for port in ports]
+    for port in ports:
+        port.follower = None if port.device is None else body
     return ports
 
 
@@ -297,10 +289,10 @@ def _times(parts: Parts, stale_after: float) -> dict[str, float]:
 
 def _frame_clock(setup: Setup, cameras: Sequence[CameraPlacement], world: World) -> FrameClock:
     """Return the clock that knows when each camera has a new frame."""
-    rates = {
-        camera.name: FrameRate.of(camera.camera, setup.cameras.size_of(camera.name), setup.cameras.fps_of(camera.name))
-        for camera in cameras
-    }
+    rates: dict[str, FrameRate] = {}
+    for name, camera in ((one.name, one.camera) for one in cameras):
+        fps = camera.frame_rate(setup.cameras.size_of(name), setup.cameras.fps_of(name))
+        rates[name] = FrameRate(fps=fps, longest_exposure=camera.longest_exposure)
     return FrameClock(world, rates)
 
 
@@ -321,6 +313,7 @@ def _simulated_sensors(
         size, quality = asked.size_of(observed[0].name), setup.render_quality
         ports.append(PixelPort(world, observed, clock, asked.pixels, randomiser, size=size, quality=quality))
     elif observed:
+        assert clock is not None, "where there are cameras, there is their clock"
         cameras = SimCameras(
             world,
             observed,
@@ -340,7 +333,8 @@ def _simulated_sensors(
 
 
 def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPort:
-    """Return the port of real cameras with frames of one size; those that stand still have the poses of the lab."""
+    """Return the port of all that gives real frames; cameras that stand still have the poses of the lab."""
+    site, setup = parts.devices, parts.setup
     scene_in_frame = tquat_to_matrix(inverse(base_in_scene(parts.robots)))
     fixed = {
         camera.name: scene_in_frame
@@ -348,26 +342,15 @@ def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPor
         for camera in cameras
         if not _moves(camera)
     }
+    skins = {one.name: one.sensor.frame_size for one in parts.tactile if one.name in site.tactile}
     return CameraPort(
-        {camera.name: parts.devices.cameras[camera.name] for camera in cameras},
+        {**{camera.name: site.cameras[camera.name] for camera in cameras}, **site.tactile},
         {camera.name: camera.camera for camera in cameras},
-        size=parts.setup.cameras.size_of(cameras[0].name),
+        sizes={**{camera.name: setup.cameras.size_of(camera.name) for camera in cameras}, **skins},
         calibrations={camera.name: camera.calibration for camera in cameras if camera.calibration is not None},
         extrinsics=fixed,
-        stale_after=parts.devices.stale_after,
-        on_stale=parts.devices.on_stale,
-        now=parts.now or time.perf_counter,
-    )
-
-
-def _real_tactile(parts: Parts) -> CameraPort:
-    """Return the port of the cameras of real tactile sensors, which are all of one kind."""
-    return CameraPort(
-        parts.devices.tactile,
-        {},
-        size=parts.tactile[0].sensor.frame_size,
-        stale_after=parts.devices.stale_after,
-        on_stale=parts.devices.on_stale,
+        stale_after=site.stale_after,
+        on_stale=site.on_stale,
         now=parts.now or time.perf_counter,
     )
 
@@ -381,13 +364,6 @@ def _in_tcp(camera: CameraPlacement, robot: RobotPlacement) -> Pose:
     assert robot.end_effector is not None, "a camera that moves is on a gripper"
     tcp, optical = robot.end_effector.tcp_in_base, camera.optical_in_parent
     return Pose(tcp.translation, tcp.quaternion).inverse() * Pose(optical.translation, optical.quaternion)
-
-
-def _randomiser(parts: Parts, world: World) -> Randomiser | None:
-    ranges = parts.setup.randomisation
-    if ranges is None:
-        return None
-    return Randomiser(world, ranges, objects=parts.task.objects(), robots=parts.robots, cameras=parts.cameras)
 
 
 def _late_actions(randomiser: Randomiser, setup: Setup, leading: tuple[int, ...]) -> list[Layer]:

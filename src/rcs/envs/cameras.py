@@ -6,11 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
-from rcs_data.record import Meta, Positive, Record, converted
+from rcs_data.options import Meta, Positive, Record, converted
 
 from rcs.errors import InvalidSetup
-from rcs.robots.camera_mode import parse_mode
-from rcs.robots.camera_mount import CameraMount
+from rcs.robots.camera import CameraMount, parse_mode
 from rcs.sim.camera import MAX_SIZE
 from rcs.sim.pixels import Pixels
 

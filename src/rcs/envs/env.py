@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.episode_random import SEED_LIMIT, check_seed
-from rcs.envs.html import to_html
 from rcs.envs.limits import Limits, limits_of
 from rcs.envs.observer import Observer
 from rcs.envs.setup import Setup
@@ -36,6 +35,7 @@ _ONLY = np.zeros(1, np.int32)
 
 PLACES = {
     "task": "env.simulation.task",
+    "scenario": "env.simulation",
     "world": "env.simulation.world",
     "sim": "env.simulation.world",
     "model": "env.simulation.world.model",
@@ -99,7 +99,18 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             self._engine.close_too(picture.close)
         if instruction is not None:
             self._engine.instruction = instruction
-        self._clock = clock
+        self.stack = stack
+        """Ports, layers and gates."""
+        self.frequency = clock.frequency
+        """Control steps per second [Hz]."""
+        self.is_real = clock.is_real
+        """Whether steps take real time: on hardware, and in a simulation that keeps the rate of the wall clock."""
+        self.is_simulated = simulation is not None
+        """Whether there is a simulated world, `simulation.world`."""
+        self.has_setup = setup is not None
+        """Whether the environment knows the setup that it was made from."""
+        self.clock = clock
+        """Lets time pass."""
         self._setup = setup
         placements = robots or ([] if simulation is None else [robot.placement for robot in simulation.robots])
         self.robots: dict[str, RobotPlacement] = {robot.name: robot for robot in placements}
@@ -129,11 +140,6 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}.{hint}")
 
     @property
-    def stack(self) -> Stack:
-        """Ports, layers and gates."""
-        return self._engine.stack
-
-    @property
     def setup(self) -> Setup:
         """The setup that the environment was made from.
 
@@ -145,19 +151,9 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         return self._setup
 
     @property
-    def has_setup(self) -> bool:
-        """Whether the environment knows the setup that it was made from."""
-        return self._setup is not None
-
-    @property
     def instruction(self) -> str:
         """The instruction for the robot; `info["instruction"]` of `reset`."""
         return self._engine.instruction
-
-    @property
-    def frequency(self) -> float:
-        """Control steps per second [Hz]."""
-        return self._clock.frequency
 
     @property
     def simulation(self) -> Simulation:
@@ -169,16 +165,6 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         if self._engine.simulation is None:
             raise WrongOrder("This environment drives real devices; it has no simulated world.")
         return self._engine.simulation
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether there is a simulated world, `simulation.world`."""
-        return self._engine.simulation is not None
-
-    @property
-    def is_real(self) -> bool:
-        """Whether steps take real time: on hardware, and in a simulation that keeps the rate of the wall clock."""
-        return self._clock.is_real
 
     def add_observer(self, observer: Observer) -> None:
         """Have an observer see every step from the next reset on."""
@@ -196,8 +182,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         """Return what bounds every robot's motion now: joints, speeds, the step of an action. Nothing moves."""
         return limits_of(self.robots, self.stack, self.frequency)
 
-    def reset(
-        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    def reset(  # pyright: ignore[reportIncompatibleMethodOverride]  # takes the seed by position, too
+        self, seed: int | None = None, *, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode. On hardware, the first reset connects the devices, and only the option `robot` moves them.
 
@@ -394,7 +380,3 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         """Return the environment, its task and its stack, part by part."""
         task = [f"  {self.simulation}"] if self.is_simulated else []
         return "\n".join([self._title, *task, str(self.stack)])
-
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows: setup, stack and a picture of the present state."""
-        return to_html(str(self), self._setup, self._engine.simulation)

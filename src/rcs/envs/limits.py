@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.layers.limit_step import LimitStep
+from rcs.envs.layers.limits import LimitStep
 from rcs.envs.ports.port import ArmPort
 from rcs.envs.step.stack import NAMELESS, Stack
 from rcs.sim.scene import RobotPlacement

@@ -1,19 +1,42 @@
-"""The interface of an observer, and one that shows every step in a viewer."""
+"""The interface of an observer."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.spaces import Arrays, Observation
+from rcs.errors import InvalidSetup
 
-if TYPE_CHECKING:  # datasets are read without the simulator
-    from rcs.sim.viewer import Viewer
+
+@dataclass(frozen=True)
+class Note:
+    """A value beside steps that `env.note` gives: a number, a vector or a word. Steps without it have NaN, or no word.
+
+    Raises:
+        InvalidSetup: It is both a vector and a word, or a word is empty or there twice.
+    """
+
+    name: str
+    """Its name."""
+    size: int | None = None
+    """Length of a vector; None for a single number or a word."""
+    words: tuple[str, ...] = ()
+    """The words that it may have; none for numbers."""
+    unit: str = ""
+    """Unit of numbers, for people."""
+
+    def __post_init__(self) -> None:
+        """Check it."""
+        if self.words and self.size is not None:
+            raise InvalidSetup(f"The note {self.name!r} has a size and words; valid is one of them.")
+        if len({*self.words, ""}) != len(self.words) + 1 or len(self.words) > 255:
+            raise InvalidSetup(f"The words of the note {self.name!r} are {self.words}; each is there once, none empty.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +60,8 @@ class Transition:
     """Whether the devices were made to hold since the last step, or in this one because a gate refused it."""
     capture_times: dict[str, float] = field(default_factory=dict[str, float])
     """When each sensor was read [s], on the monotonic clock, by the sensor's key such as `frames/wrist`."""
+    device_times: dict[str, float] = field(default_factory=dict[str, float])
+    """The same on the clocks of real devices [s]; NaN for those without one."""
     sim_state: NDArray[np.float64] | None = None
     """The simulation's whole state, (state_size,); None on hardware."""
     objects: dict[str, NDArray[np.float64]] = field(default_factory=dict[str, NDArray[np.float64]])
@@ -74,19 +99,3 @@ class Observer(ABC):
 
     def close(self) -> None:  # noqa: B027  most observers hold nothing
         """Release all resources; closing twice is harmless."""
-
-
-class Show(Observer):
-    """Brings a viewer up to date after every step."""
-
-    def __init__(self, viewer: Viewer) -> None:
-        """Use an open viewer; it stays open when the environment is closed."""
-        self._viewer = viewer
-
-    def on_reset(self, first: Transition, seed: int | None) -> None:
-        """Show the start."""
-        self._viewer.sync()
-
-    def on_step(self, transition: Transition) -> None:
-        """Show the step."""
-        self._viewer.sync()

@@ -11,8 +11,8 @@ from rcs._core import CollisionChecker
 from rcs.envs.env import Env
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.kinematics import kinematics_of
+from rcs.planning.path import JointLimits
 from rcs.planning.planner import Planner
-from rcs.planning.timing import JointLimits
 from rcs.sim.robot import RobotLayout
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.world import World

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from rcs_data.record import Meta, Positive, Record, Whole, converted
+from rcs_data.options import Meta, Positive, Record, Whole, converted
 
 from rcs.devices import lookup
 from rcs.envs.cameras import Cameras
 from rcs.envs.reward import RewardKind
 from rcs.envs.spaces import TWIST, Control, Observed
 from rcs.errors import InvalidSetup
-from rcs.robots.camera_mount import CameraMount
+from rcs.robots.camera import CameraMount
 from rcs.robots.compliance import Compliance
 from rcs.sim.camera import Quality
 from rcs.sim.detail import Assets

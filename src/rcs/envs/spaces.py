@@ -10,6 +10,7 @@
 | `joint_velocities` | (dof,) float64 | rad/s |
 | `gripper` | (1,) float32 | 0 closed … 1 open |
 | `hand` | (n,) float32 | normalised joints 0 … 1 |
+| `raw` | (n,) float64 | an action of another project's simulator, in its own numbers |
 | `joint_torques` | (dof,) float64 | Nm, what the drives exert, with what holds the arm against its weight |
 | `tcp_wrench` | (6,) float64 | N, Nm: what presses on the tool, about the TCP, in the axes of the base |
 | `finger_contacts` | (fingers,) uint8 | 1 for a finger that touches something |
@@ -65,6 +66,7 @@ TWIST = "twist"
 JOINT_VELOCITIES = "joint_velocities"
 GRIPPER = "gripper"
 HAND = "hand"
+RAW = "raw"
 FRAMES = "frames"
 RGB = "rgb"
 DEPTH = "depth"
@@ -81,6 +83,7 @@ FINGER_CONTACTS = "finger_contacts"
 IS_GRASPED = "is_grasped"
 PRIVILEGED = "privileged"
 TARGET = "target"
+ORIGIN = "origin"
 VELOCITY = "velocity"
 
 ARM_KEYS = (JOINTS, TQUAT, TWIST)
@@ -173,40 +176,19 @@ def flags_space(size: int) -> spaces.Box:
     return spaces.Box(0, 1, (size,), np.uint8)
 
 
-def object_space() -> spaces.Box:
-    """Return the space of poses of objects as translation [m] and quaternion xyzw."""
+def object_space() -> spaces.Dict:
+    """Return the space of an object: its pose as translation [m] and quaternion xyzw, and its velocity [m/s, rad/s].
+
+    What slips out of a gripper may spin fast.
+    """
     bound = np.array([FARTHEST] * 3 + [1.0] * 4)
-    return spaces.Box(-bound, bound, dtype=np.float64)
-
-
-def twist_space() -> spaces.Box:
-    """Return the space of velocities of objects [m/s] and [rad/s]; what slips out of a gripper may spin fast."""
-    return spaces.Box(-10.0 * FASTEST, 10.0 * FASTEST, (6,), np.float64)
+    velocity = spaces.Box(-10.0 * FASTEST, 10.0 * FASTEST, (6,), np.float64)
+    return spaces.Dict({TQUAT: spaces.Box(-bound, bound, dtype=np.float64), VELOCITY: velocity})
 
 
 def normalised_space(size: int) -> spaces.Box:
     """Return the space of openings or hand joints, 0 … 1."""
     return spaces.Box(0.0, 1.0, (size,), np.float32)
-
-
-def rgb_space(width: int, height: int) -> spaces.Box:
-    """Return the space of colour frames, rows from the top."""
-    return spaces.Box(0, 255, (height, width, 3), np.uint8)
-
-
-def intrinsics_space() -> spaces.Box:
-    """Return the space of camera matrices [px]."""
-    return spaces.Box(0.0, LONGEST_FOCAL_LENGTH, (3, 3), np.float64)
-
-
-def extrinsics_space() -> spaces.Box:
-    """Return the space of camera poses as matrices, translation in m."""
-    return spaces.Box(-FARTHEST, FARTHEST, (4, 4), np.float64)
-
-
-def depth_space(width: int, height: int) -> spaces.Box:
-    """Return the space of depth frames [mm]."""
-    return spaces.Box(0, 65535, (height, width), np.uint16)
 
 
 def require_direction(tquat: NDArray[np.float64]) -> None:
@@ -223,24 +205,28 @@ def require_direction(tquat: NDArray[np.float64]) -> None:
         )
 
 
-def labels_space(width: int, height: int) -> spaces.Box:
-    """Return the space of segmentation: numbers of instances or geoms."""
-    return spaces.Box(0, 65535, (height, width), np.uint16)
+def frame_space(entries: Iterable[str], size: tuple[int, int], *, channels: int = 3) -> spaces.Dict:
+    """Return the space of a camera's frame.
 
-
-def points_space(width: int, height: int) -> spaces.Box:
-    """Return the space of the points that pixels show [m]."""
-    return spaces.Box(-FARTHEST_POINT, FARTHEST_POINT, (height, width, 3), np.float32)
-
-
-def pixels_space(channels: int, width: int, height: int) -> spaces.Box:
-    """Return the space of stacks of frames with channels first."""
-    return spaces.Box(0, 255, (channels, height, width), np.uint8)
-
-
-def distortion_space() -> spaces.Box:
-    """Return the space of distortions k1, k2, p1, p2, k3."""
-    return spaces.Box(-STRONGEST_DISTORTION, STRONGEST_DISTORTION, (COEFFICIENTS,), np.float64)
+    Args:
+        entries: Its keys, such as `rgb` and `extrinsics`.
+        size: Width and height [px].
+        channels: Number of channels of `pixels`.
+    """
+    width, height = size
+    image, matrix = (height, width), np.float64
+    boxes: dict[str, tuple[float, float, tuple[int, ...], type[np.integer[Any] | np.floating[Any]]]] = {
+        RGB: (0, 255, (*image, 3), np.uint8),
+        DEPTH: (0, 65535, image, np.uint16),
+        SEGMENTATION: (0, 65535, image, np.uint16),
+        GEOMS: (0, 65535, image, np.uint16),
+        POINTS: (-FARTHEST_POINT, FARTHEST_POINT, (*image, 3), np.float32),
+        PIXELS: (0, 255, (channels, *image), np.uint8),
+        INTRINSICS: (0.0, LONGEST_FOCAL_LENGTH, (3, 3), matrix),
+        DISTORTION: (-STRONGEST_DISTORTION, STRONGEST_DISTORTION, (COEFFICIENTS,), matrix),
+        EXTRINSICS: (-FARTHEST, FARTHEST, (4, 4), matrix),
+    }
+    return spaces.Dict({key: spaces.Box(*boxes[key][:3], dtype=boxes[key][3]) for key in entries})
 
 
 class ActionCheck:
@@ -291,17 +277,6 @@ class ActionCheck:
         return checked
 
 
-def check_action(
-    action: Any, boxes: Mapping[str, spaces.Box], leading: tuple[int, ...] = ()
-) -> dict[str, NDArray[Any]]:
-    """Check one action as `ActionCheck` does.
-
-    Raises:
-        InvalidAction: The action is not valid.
-    """
-    return ActionCheck(boxes, leading)(action)
-
-
 def _as_numbers(key: str, given: Any, box: spaces.Box) -> NDArray[Any]:
     if np.ma.is_masked(given):
         raise InvalidAction(f"Action {key!r} has masked values; valid is an array without a mask.")
@@ -318,7 +293,8 @@ def _as_numbers(key: str, given: Any, box: spaces.Box) -> NDArray[Any]:
 def _describe_keys(action: Any, boxes: Mapping[str, spaces.Box]) -> str:
     valid = ", ".join(f"{key!r} {box.shape} {box.dtype}" for key, box in boxes.items())
     if not isinstance(action, Mapping):
-        return f"Expected a mapping with the keys {valid} as action; got {type(action).__name__}."
+        hint = " rcs.rl.FlatEnv(env) takes one vector." if isinstance(action, np.ndarray) else ""
+        return f"Expected a mapping with the keys {valid} as action; got {type(action).__name__}.{hint}"
     missing = [key for key in boxes if key not in action]
     unknown = [key for key in action if key not in boxes]
     found = [f"{text} {keys}" for text, keys in (("missing", missing), ("unknown", unknown)) if keys]

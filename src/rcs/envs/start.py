@@ -64,12 +64,7 @@ def check_state(state: Any, size: int) -> NDArray[np.float64]:
     Raises:
         InvalidSetup: It has a wrong shape, or a value that MuJoCo treats as divergence.
     """
-    if np.ma.is_masked(state):
-        raise InvalidSetup("The option 'state' has masked values; valid is an array without a mask.")
-    try:
-        array = np.asarray(state, np.float64)
-    except (TypeError, ValueError) as err:
-        raise InvalidSetup(f"The option 'state' is {_form(state)}; valid are {size} numbers.") from err
+    array = _as_array("The option 'state'", state)
     if array.shape != (size,):
         raise InvalidSetup(f"The option 'state' has shape {array.shape}; valid is ({size},).")
     if not (np.abs(array) <= mujoco.mjMAXVAL).all():  # also catches NaN

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from rcs_data.record import Positive, Record
+from rcs_data.options import Positive, Record
 
 from rcs.errors import InvalidSetup
 
@@ -107,6 +107,9 @@ class Task(ABC):
 
     expert: ClassVar[str | type | None] = None
     """The agent that can do the task: its class, `module:Class`, or the name of an entry point of `rcs.agents`."""
+
+    placer: ClassVar[str | type | None] = None
+    """The script that sets the object in the gripper at `info["goal"]`, for tasks with an option `placed_by`."""
 
     class Options(Record):
         """Options of every task; a task with more options subclasses this as its own `Options`."""

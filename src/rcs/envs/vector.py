@@ -95,8 +95,8 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         """Have an observer see no more steps."""
         self._engine.observers.remove(observer)
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
+    def reset(  # pyright: ignore[reportIncompatibleMethodOverride]  # takes the seed by position, too
+        self, seed: int | Sequence[int | None] | None = None, *, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode in every copy.
 
@@ -149,7 +149,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
                 finished = engine.is_over.copy()
                 info["final_obs"], info["final_info"] = observation, step.info
                 info["_final_obs"] = info["_final_info"] = finished
-                observation = engine.restart(np.flatnonzero(finished).astype(np.int32))
+                observation, _ = engine.start(np.flatnonzero(finished).astype(np.int32))
                 self._tell_started(info, finished)
             return observation, step.reward, step.terminated, step.truncated, info
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Literal, get_args, overload
+from typing import Literal, get_args
 
 import mujoco
 import numpy as np
@@ -13,15 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from rcs._core import DampedLeastSquares, IkOptions, Kinematics
 from rcs.devices import lookup
 from rcs.errors import InvalidSetup, UnknownName
+from rcs.robots.camera import CameraDescription
 from rcs.robots.compliance import Compliance
-from rcs.robots.description import (
-    ArmDescription,
-    CameraDescription,
-    Description,
-    GripperDescription,
-    HandDescription,
-    Mount,
-)
+from rcs.robots.description import ArmDescription, Description, GripperDescription, HandDescription, Mount
 from rcs.spatial import xyzw_to_wxyz
 
 GRIPPER_PREFIX = "gripper/"
@@ -146,14 +140,6 @@ def mount_frame(body: mujoco.MjsBody, mount: Mount, *, inside: mujoco.MjsFrame |
     return frame
 
 
-@overload
-def kinematics_of(
-    arm: ArmDescription | str, gripper: EndEffector | str | None = None, *, backend: Literal["mujoco"] = "mujoco"
-) -> DampedLeastSquares: ...
-@overload
-def kinematics_of(
-    arm: ArmDescription | str, gripper: EndEffector | str | None = None, *, backend: Backend
-) -> Kinematics: ...
 def kinematics_of(
     arm: ArmDescription | str, gripper: EndEffector | str | None = None, *, backend: Backend = "mujoco"
 ) -> Kinematics:
@@ -162,7 +148,7 @@ def kinematics_of(
     Args:
         arm: The arm, or its name.
         gripper: The gripper or hand at its flange, or its name.
-        backend: `mujoco` for the built-in solver; `pinocchio` for a slower one, an extra.
+        backend: `mujoco` for the built-in chain; `pinocchio` for Pinocchio's, an extra.
 
     Returns:
         A new solver, which several threads may use.

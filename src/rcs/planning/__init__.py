@@ -2,4 +2,4 @@
 
 from rcs_data.lazy import load_on_use
 
-load_on_use(__name__)
+load_on_use(__name__, plan="Planner(...).plan(...)")

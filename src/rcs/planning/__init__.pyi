@@ -1,12 +1,11 @@
 from rcs._core import Clearance as Clearance
 from rcs._core import CollisionChecker as CollisionChecker
 from rcs._core import Hit as Hit
+from rcs.planning.path import JointLimits as JointLimits
 from rcs.planning.path import Path as Path
 from rcs.planning.path import Samples as Samples
 from rcs.planning.path import TimedPath as TimedPath
 from rcs.planning.path import diversity as diversity
-from rcs.planning.path import minimum_jerk as minimum_jerk
+from rcs.planning.path import time_path as time_path
+from rcs.planning.planner import PLANNERS as PLANNERS
 from rcs.planning.planner import Planner as Planner
-from rcs.planning.search import PLANNERS as PLANNERS
-from rcs.planning.timing import JointLimits as JointLimits
-from rcs.planning.timing import time_path as time_path

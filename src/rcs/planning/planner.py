@@ -1,28 +1,41 @@
-"""Plans joint motions past obstacles: to joints, or to a pose of the TCP."""
+"""Plans joint motions past obstacles, by OMPL's geometric planners: to joints, or to a pose of the TCP."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import time
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import CollisionChecker, IkStatus, Kinematics
-from rcs.errors import InvalidSetup, PlanningFailed
+from rcs.errors import InvalidSetup, PlanningFailed, UnknownName
+from rcs.extras import package_of
 from rcs.kinematics import freedom_of
-from rcs.planning.path import Path, TimedPath
-from rcs.planning.search import Problem, search
-from rcs.planning.timing import JointLimits, time_path
+from rcs.planning.path import JointLimits, Path, TimedPath, time_path
 from rcs.spatial import Pose
 
+PLANNERS = ("RRT", "RRTConnect", "RRTstar", "FMT", "BITstar")
+"""Tested planners, which return the same path for the same seed; OMPL has other geometric ones."""
+OPTIMISING = ("RRTstar", "BITstar", "PRMstar", "InformedRRTstar", "SORRTstar", "AORRTC")
+"""Planners that improve their path until their iterations are up."""
+RANGE = 0.6
+"""Longest motion that a tree of OMPL grows by [rad]. OMPL's own choice, a fifth of the space's extent, is 2.5 rad for
+seven joints: most such motions run into something."""
+SHORTCUTS, SNAP = 60, 0.05
+"""Random shortcuts that are tried on a path, and how near to a waypoint they end at it, as a share of the length.
+OMPL's own 0.005 leaves shorter paths with more corners, which take longer."""
+SEEDS = 2**31
+"""Number of seeds of OMPL."""
 STEP, TURN = 0.005, 0.035
 """How finely motions are checked near obstacles during the search [m, rad]; half of it is below the margin."""
 ATTEMPTS = 64
 """Random starts from which inverse kinematics looks for joints that reach a pose."""
 APART = 0.1
 """Solutions of inverse kinematics nearer to each other than this are one [rad]."""
-SHORTCUTS = 24
-"""Random shortcuts that are tried on a path."""
 BEYOND = np.pi
 """How far beyond start and goals to search [rad]: joints of some arms turn twice, most of which leads nowhere."""
 INSIDE = 1e-4
@@ -31,61 +44,46 @@ INSIDE = 1e-4
 Rows = NDArray[np.float64]
 
 
+@dataclass(eq=False)
 class Planner:
     """Plans for the joints of a collision checker, of one robot or of several.
 
     Same checker, seed and arguments, same path, as long as the time limit does not end the search.
     """
 
-    def __init__(
-        self,
-        checker: CollisionChecker,
-        limits: JointLimits,
-        kinematics: Kinematics | None = None,
-        *,
-        margin: float = 0.005,
-        planner: str = "RRTConnect",
-        time_limit: float = 5.0,
-        iterations: int = 1000,
-    ) -> None:
-        """Prepare to plan; nothing is computed.
+    checker: CollisionChecker
+    """Distances and contacts with what is around the robots when a path is planned; `set_state`, `attach` and `allow`
+    change what later paths have to avoid."""
+    limits: JointLimits
+    """Limits of the joints, for times."""
+    kinematics: Kinematics | None = None
+    """Kinematics of the robot in its base frame, for goals that are poses; None if there are several robots."""
+    _: KW_ONLY
+    margin: float = 0.005
+    """Distance that paths keep [m]. Where the start or the goal is nearer, this path keeps theirs."""
+    planner: str = "RRTConnect"
+    """Name of a planner: RRT, RRTConnect, RRTstar, FMT, BITstar, or another one of OMPL."""
+    time_limit: float = 5.0
+    """Longest search [s]."""
+    iterations: int = 1000
+    """Iterations of planners that improve their path, such as RRTstar."""
 
-        Args:
-            checker: Knows the robots and what is around them, as it stands when a path is planned.
-            limits: Limits of the joints, for times.
-            kinematics: Kinematics of the robot, for goals that are poses; None if there are several robots.
-            margin: Distance that paths keep [m]. Where the start or the goal is nearer, this path keeps theirs.
-            planner: Name of a planner: RRT, RRTConnect, RRTstar, FMT, BITstar, or another one of OMPL; EST needs no
-                extra.
-            time_limit: Longest search [s].
-            iterations: Iterations of planners that improve their path, such as RRTstar.
+    def __post_init__(self) -> None:
+        """Check the numbers; nothing is computed.
 
         Raises:
             InvalidSetup: A number is not valid, or kinematics and checker have different numbers of joints.
         """
-        if not margin >= 0.0 or not time_limit > 0.0 or iterations < 1:
+        if not self.margin >= 0.0 or not self.time_limit > 0.0 or self.iterations < 1:
             raise InvalidSetup(
-                f"margin is {margin!r}, time_limit {time_limit!r} and iterations {iterations!r}; valid are at least 0, "
-                "above 0 and at least 1."
+                f"margin is {self.margin!r}, time_limit {self.time_limit!r} and iterations {self.iterations!r}; valid "
+                "are at least 0, above 0 and at least 1."
             )
-        if kinematics is not None and kinematics.dof != checker.dof:
-            raise InvalidSetup(f"The kinematics have {kinematics.dof} joints, the collision checker {checker.dof}.")
-        if len(limits.velocity) != checker.dof:
-            raise InvalidSetup(f"There are limits for {len(limits.velocity)} joints, the checker has {checker.dof}.")
-        self.checker = checker
-        """Distances and contacts; `set_state`, `attach` and `allow` change what later paths have to avoid."""
-        self.limits = limits
-        """Limits of the joints."""
-        self.kinematics = kinematics
-        """Kinematics of the robot, in its base frame."""
-        self.margin = margin
-        """Distance that paths keep [m]."""
-        self.planner = planner
-        """Name of the planner."""
-        self.time_limit = time_limit
-        """Longest search [s]."""
-        self.iterations = iterations
-        """Iterations of planners that improve their path."""
+        dof, kinematics = self.checker.dof, self.kinematics
+        if kinematics is not None and kinematics.dof != dof:
+            raise InvalidSetup(f"The kinematics have {kinematics.dof} joints, the collision checker {dof}.")
+        if len(self.limits.velocity) != dof:
+            raise InvalidSetup(f"There are limits for {len(self.limits.velocity)} joints, the checker has {dof}.")
 
     def plan(self, start: ArrayLike, goal: ArrayLike | Pose, *, seed: int = 0, shortcut: bool = True) -> Path:
         """Return a path that touches nothing.
@@ -102,42 +100,29 @@ class Planner:
                 `reason` is `start`, `goal`, `unreachable` or `time`.
             InvalidSetup: Joints are of a wrong number, not finite or outside their limits.
             UnknownName: There is no planner of this name.
-            MissingDependency: The planner is one of OMPL, which is not installed.
+            MissingDependency: OMPL is not installed.
         """
-        find = search(self.planner)
+        planner = _planner_of(self.planner)
         first = self._joints("start", start)[0]
         self._require_free("start", first[None])
         goals = self.goals(goal, start=first, seed=seed) if isinstance(goal, Pose) else self._joints("goal", goal)
         goals = self._require_free("goal", goals)
-        ends = np.vstack([first[None], goals])
-        nearest = float(self.checker.clearance_rows(ends, self.margin + INSIDE)[0].min())
-        problem = Problem(
-            checker=self.checker,
-            start=first,
-            goals=goals,
-            lower=np.maximum(self.checker.joint_lower, ends.min(axis=0) - BEYOND),
-            upper=np.minimum(self.checker.joint_upper, ends.max(axis=0) + BEYOND),
-            margin=max(min(self.margin, nearest - INSIDE), 0.0),
-            step=STEP,
-            turn=TURN,
-            seed=seed,
-            time_limit=self.time_limit,
-            iterations=self.iterations,
-        )
-        if problem.margin < STEP / 2:
-            problem = replace(problem, step=max(2.0 * problem.margin, STEP / 5))
-        direct = goals[problem.connect_rows(np.broadcast_to(first, goals.shape), goals)]
+        nearest = float(self.checker.clearance_rows(np.vstack([first, goals]), self.margin + INSIDE)[0].min())
+        margin = max(min(self.margin, nearest - INSIDE), 0.0)
+        step = STEP if margin >= STEP / 2 else max(2.0 * margin, STEP / 5)
+        hits = self.checker.first_hit_rows(np.broadcast_to(first, goals.shape), goals, step, TURN, margin)[0]
+        direct = goals[np.isinf(hits)]
         if len(direct):
             rows = np.array([first, direct[np.argmin(np.linalg.norm(direct - first, axis=1))]])
         else:
-            rows = find(problem)
+            rows = self._search(planner, first, goals, margin, step, seed, shortcut)
         if rows is None:
             raise PlanningFailed(
                 f"{self.planner} has found no path in {self.time_limit:g} s. Raise time_limit, lower margin "
                 f"({self.margin:g} m), or check that there is a way.",
                 reason="time",
             )
-        return Path(shorten(rows, problem) if shortcut and len(rows) > 2 else rows)
+        return Path(rows)
 
     def goals(self, pose: Pose, *, start: ArrayLike, seed: int = 0) -> Rows:
         """Return joints that reach a pose of the TCP in the base frame, nearest to the start first, (n, dof).
@@ -217,32 +202,99 @@ class Planner:
             reason="start" if name == "start" else "goal",
         )
 
+    def _search(
+        self, planner: Any, start: Rows, goals: Rows, margin: float, step: float, seed: int, shortcut: bool
+    ) -> Rows | None:
+        """Run a planner of OMPL; None if it finds no way in time."""
+        base, util, checker, dof = _ompl("base"), _ompl("util"), self.checker, self.checker.dof
+        util.setLogLevel(util.LOG_NONE)  # it writes to standard output
+        # Generators made from here on follow from this seed, which OMPL wants above 0.
+        util.RNG.setSeed(seed % SEEDS + 1)
+        space = base.RealVectorStateSpace(dof)
+        bounds, ends = base.RealVectorBounds(dof), np.vstack([start, goals])
+        for i in range(dof):
+            bounds.setLow(i, float(max(checker.joint_lower[i], ends[:, i].min() - BEYOND)))
+            bounds.setHigh(i, float(min(checker.joint_upper[i], ends[:, i].max() + BEYOND)))
+        space.setBounds(bounds)
+        information = base.SpaceInformation(space)
+        information.setStateValidityChecker(lambda state: checker.is_free(np.array(state[0:dof]), margin))
+        connects: Connects = lambda a, b: checker.first_hit(a, b, step, TURN, margin) is None  # noqa: E731
+        information.setMotionValidator(_swept()(information, dof, connects))
+        information.setup()
 
-def shorten(rows: Rows, problem: Problem) -> Rows:
-    """Return a path (n, dof) from which random detours are cut off, with the same ends and free of contact."""
-    random = np.random.default_rng(problem.seed)
-    rows = _without_middles(rows, problem)
-    for _ in range(SHORTCUTS):
-        if len(rows) == 2:
-            break
-        way = np.concatenate([[0.0], np.linalg.norm(np.diff(rows, axis=0), axis=1).cumsum()])
-        a, b = np.sort(random.uniform(0.0, way[-1], 2))
-        i, j = np.searchsorted(way, [a, b], side="right") - 1
-        if i == j:
-            continue
-        cut = np.array([[np.interp(at, way, column) for column in rows.T] for at in (a, b)])
-        shorter = np.linalg.norm(cut[1] - cut[0]) < b - a - 1e-6
-        if shorter and problem.connects(cut[0], cut[1]):
-            rows = np.vstack([rows[: i + 1], cut, rows[j + 1 :]])
-    return _without_middles(rows, problem)
+        def state_of(q: Rows) -> Any:
+            state = space.allocState()  # copyFromReals ends the process (ompl 2.0.1)
+            for i, value in enumerate(q):
+                state[i] = float(value)
+            return state
+
+        # Without start and goal, a planner's setup ends the process.
+        definition = base.ProblemDefinition(information)
+        definition.addStartState(state_of(start))
+        wanted = base.GoalStates(information)
+        for goal in goals:
+            wanted.addState(state_of(goal))
+        definition.setGoal(wanted)
+        is_optimising = self.planner in OPTIMISING
+        if is_optimising:
+            definition.setOptimizationObjective(base.PathLengthOptimizationObjective(information))
+        made = planner(information)
+        if hasattr(made, "setRange"):
+            made.setRange(RANGE)
+        made.setProblemDefinition(definition)
+        made.setup()
+        end, calls = time.monotonic() + self.time_limit, 0
+
+        def is_over() -> bool:
+            nonlocal calls
+            calls += 1
+            return (is_optimising and calls > self.iterations) or time.monotonic() > end
+
+        while not definition.hasExactSolution() and time.monotonic() < end:  # an optimising one may need another round
+            calls = 0
+            made.solve(base.PlannerTerminationCondition(is_over))
+            if not is_optimising:
+                break
+        if not definition.hasExactSolution():
+            return None
+        path = definition.getSolutionPath()
+        if shortcut:
+            simplifier = _ompl("geometric").PathSimplifier(information)
+            simplifier.reduceVertices(path)
+            simplifier.partialShortcutPath(path, SHORTCUTS, SHORTCUTS, 1.0, SNAP)
+            simplifier.reduceVertices(path)
+        return np.array([path.getState(i)[0:dof] for i in range(path.getStateCount())])
 
 
-def _without_middles(rows: Rows, problem: Problem) -> Rows:
-    """Leave out waypoints whose neighbours connect."""
-    i = 1
-    while i < len(rows) - 1:
-        if problem.connects(rows[i - 1], rows[i + 1]):
-            rows = np.delete(rows, i, axis=0)
-        else:
-            i += 1
-    return rows
+Connects = Callable[[Rows, Rows], bool]
+"""Whether the straight motion between joints keeps the margin."""
+
+
+def _ompl(module: str) -> Any:
+    return package_of("planning", f"ompl.{module}", "Planning needs")
+
+
+def _planner_of(name: str) -> Any:
+    """Return the class of a planner of OMPL."""
+    geometric = _ompl("geometric")
+    known = [n for n in dir(geometric) if hasattr(getattr(geometric, n), "setProblemDefinition") and n != "Planner"]
+    if name not in known:
+        raise UnknownName("planner", name, known)
+    return getattr(geometric, name)
+
+
+@cache
+def _swept() -> Any:
+    """Return a class of OMPL's motion validators; made once, since classes are not freed."""
+
+    class Swept(_ompl("base").MotionValidator):
+        """Checks whole motions in C++ instead of states along them."""
+
+        def __init__(self, information: Any, dof: int, connects: Connects) -> None:
+            super().__init__(information)
+            self._dof, self._connects = dof, connects
+
+        def checkMotion(self, a: Any, b: Any, *_: Any) -> bool:  # noqa: N802  OMPL's name
+            return self._connects(np.array(a[0 : self._dof]), np.array(b[0 : self._dof]))
+
+    return Swept

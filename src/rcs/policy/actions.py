@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rcs.envs.env import Env
-from rcs.envs.spaces import GRIPPER, HAND, JOINTS, TQUAT, TWIST, XYZRPY, Action, Observation
+from rcs.envs.spaces import GRIPPER, HAND, JOINTS, RAW, TQUAT, TWIST, XYZRPY, Action, Observation
 from rcs.errors import InvalidSetup
 from rcs.policy.interface import flat, flat_boxes, from_unit, key_of, nested, unit_of
-from rcs.policy.plan import NEAR, STILL, Array, Command, Kind, Part, Plan
+from rcs.policy.plan import STILL, Array, Command, Kind, Part
 from rcs.spatial import limit_step, tquat_to_xyzrpy
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ CLIPPED = 1e-6
 
 _KINDS: dict[str, Kind] = {
     JOINTS: "linear", HAND: "linear", TQUAT: "pose", XYZRPY: "rpy", GRIPPER: "opening", TWIST: "velocity",
+    RAW: "opening",
 }  # fmt: skip
 
 
@@ -43,7 +44,6 @@ class PolicyActions:
         self._env = env
         self._boxes = dict(flat_boxes(env.action_space))
         self._is_absolute = env.setup.relative == "absolute"
-        self._rate, self._horizon, self._size = metadata.rate, metadata.horizon, metadata.size
         self.is_clipped = False
         """True if the last action of the policy was beyond the bounds of the environment."""
         self._held: dict[str, Array] = {}
@@ -78,20 +78,6 @@ class PolicyActions:
             source = measured if part.counts_from_start or self.is_held else {**measured, **target}
             found[part.name] = np.array(source[key], np.float64)
         return found
-
-    def in_flight(self, plan: Plan, now: float, start: Mapping[str, Array]) -> Array:
-        """Return what a plan will do as rows of a chunk that begins now, (rows, size), for a policy with a rate."""
-        rows: list[Array] = []
-        while self._rate > 0 and len(rows) < self._horizon:
-            command = plan.at(now + len(rows) / self._rate, 1.0 / self._rate)
-            if command is None:
-                break
-            rows.append(np.concatenate([part.unread(command[part.name], start.get(part.name)) for part in self.parts]))
-        return np.array(rows).reshape(len(rows), self._size)
-
-    def frozen(self, delay: float, rows: int) -> int:
-        """Return how many of the rows in flight will be executed within a delay [s]."""
-        return min(int(np.ceil(delay * self._rate - NEAR)), rows)
 
     def action(self, command: Command) -> Action:
         """Return the action of a command, inside the environment's bounds."""

@@ -1,23 +1,28 @@
-"""An agent that executes the chunks of a policy, which may run elsewhere."""
+"""An agent that executes the chunks of a policy, which may run elsewhere, and a factory of such agents."""
 
 from __future__ import annotations
 
 import itertools
+import json
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rcs.agents import Agent, Event
+from rcs.agents.identity import Identity
 from rcs.envs.env import Env
+from rcs.envs.observer import Note
 from rcs.envs.spaces import Action, Observation
 from rcs.errors import InvalidSetup, RcsError
 from rcs.policy.actions import PolicyActions
 from rcs.policy.execution import Execution, Executor
 from rcs.policy.interface import policy_observation, require_fit, vlagents
-from rcs.policy.plan import ChunkPlan, Plan
+from rcs.policy.plan import ChunkPlan
 
 if TYPE_CHECKING:
     from vlagents import Metadata, Policy
@@ -34,9 +39,6 @@ WAIT = 5.0
 """Longest wait for an unreachable policy at the beginning of an episode [s], by the clock."""
 PAUSE = 0.2
 """Pause between two attempts to reach it [s]."""
-
-CONTINUES = "continues"
-"""Key of a chunk's info: 1 if the policy has continued what was in flight."""
 
 _numbers = itertools.count()
 
@@ -86,9 +88,10 @@ class ChunkAgent(Agent):
         self._actions = PolicyActions(env, self.metadata)
         self._executor = Executor(execution, self._period, f"policy {self._session}" if env.is_real else None)
         self._instruction = ""
-        self._needs_reset = self._has_ended = False
+        self._needs_reset = self._has_ended = self._is_lost = False
         self._message: str | None = None
         self._now = self._begun = 0.0
+        self._latencies: list[float] = []
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Begin an episode; a policy that fails does so in this episode, and the robot holds.
@@ -99,7 +102,8 @@ class ChunkAgent(Agent):
         """
         self._executor.reset()
         self._actions.reset(observation)
-        self._has_ended, self._message = False, None
+        self._has_ended, self._is_lost, self._message = False, False, None
+        self._latencies = []
         given = self._given_instruction
         self._instruction = str(info.get("instruction", "")) if given is None else given
         self._begun = float(info.get("time", 0.0))
@@ -119,10 +123,17 @@ class ChunkAgent(Agent):
         """Return the action for this moment, or that of holding."""
         self._now = now = self._time(info)
         had_error = self._executor.error is not None
-        command = self._executor.step(now, lambda plan, delay: self._question(observation, info, plan, delay))
+        command = self._executor.step(now, lambda: self._question(observation, info))
+        if self._executor.chunks > len(self._latencies):
+            self._latencies.append(self._executor.latency)
         if self._executor.error is not None and not had_error:
             self._lose(self._executor.error)
         return self._actions.hold(observation) if command is None else self._actions.action(command)
+
+    @property
+    def note_fields(self) -> Sequence[Note]:
+        """The numbers of `NOTES`."""
+        return [Note(name) for name in NOTES]
 
     def notes(self) -> Mapping[str, Any]:
         """Return latency, age, place in the chunk, and whether the robot is held; see `NOTES`."""
@@ -140,6 +151,21 @@ class ChunkAgent(Agent):
     def events(self) -> Sequence[Event]:
         """Return `stop` once the policy is lost and `on_loss` is `end`."""
         return ("stop",) if self._has_ended else ()
+
+    @property
+    def is_lost(self) -> bool:
+        """True if the server was gone or silent, before the policy itself failed in this episode."""
+        return self._is_lost
+
+    @property
+    def weights(self) -> str | None:
+        """The hash that the server tells."""
+        return self.metadata.checkpoint_hash or None
+
+    @property
+    def latencies(self) -> Sequence[float]:
+        """How long each answer took [s]; where several came in one step, the last one of them."""
+        return self._latencies
 
     @property
     def failure(self) -> str | None:
@@ -200,20 +226,17 @@ class ChunkAgent(Agent):
 
     def _lose(self, error: Exception) -> None:
         self._needs_reset = True
+        if self._message is None:
+            self._is_lost = self._is_gone(error)
         self._message = self._message or f"{type(error).__name__}: {error}"
         self._has_ended |= self.execution.on_loss == "end"
 
-    def _question(
-        self, observation: Observation, info: Mapping[str, Any], plan: Plan | None, delay: float
-    ) -> Callable[[], ChunkPlan]:
+    def _question(self, observation: Observation, info: Mapping[str, Any]) -> Callable[[], ChunkPlan]:
         """Return the call of the policy for the present observation; see `Question`."""
         seen = policy_observation(
             observation, self.metadata, time=self._now, instruction=self._instruction, session=self._session
         )
         start = self._actions.start(observation, info)
-        if plan is not None and self.metadata.continues:
-            previous = self._actions.in_flight(plan, self._now, start)
-            seen = replace(seen, previous=previous, frozen=self._actions.frozen(delay, len(previous)))
 
         def compute() -> ChunkPlan:
             if self._needs_reset:
@@ -225,13 +248,108 @@ class ChunkAgent(Agent):
                 )
             # Without a rate, a row is a step of this loop.
             period = chunk.period if self.metadata.rate > 0 else self._period
-            return ChunkPlan(
-                self._actions.parts,
-                chunk.actions,
-                time=seen.time,
-                period=period,
-                start=start,
-                continues=chunk.info.get(CONTINUES) == 1,
-            )
+            return ChunkPlan(self._actions.parts, chunk.actions, time=seen.time, period=period, start=start)
 
         return compute
+
+
+TOKEN = "VLAGENTS_TOKEN"
+"""Environment variable with the token of the server."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServedPolicy:
+    """A policy behind an address, and how its chunks are executed. Called with an environment, it makes an agent."""
+
+    address: str
+    """`vla://host:port`, `vlas://`, `ws://`, `wss://`, `gr00t://` or `openvla+http://`."""
+    execution: Execution = field(default_factory=Execution)
+    """Options of the execution of its chunks."""
+    instruction: str | None = None
+    """The instruction; None for the environment's."""
+    timeout: float = 5.0
+    """Longest duration of an answer [s]."""
+    certificate: str | None = None
+    """File with the certificate that the server's must be signed by."""
+    trained: int | None = None
+    """Steps that the training had made; None if that is not known."""
+    described_in: str | None = None
+    """JSON file with the policy's metadata, as `Metadata.to_dict` has them, for servers that do not send them: those of
+    openpi, GR00T and OpenVLA."""
+
+    def identify(self) -> Identity:
+        """Return what the server says of the policy; its folder counts only if it does not say which weights act.
+
+        Raises:
+            RcsError: There is no policy; see `connect`.
+        """
+        metadata = self.metadata()
+        policy = metadata.to_dict()
+        weights, data = (policy.pop(name, "") or None for name in ("checkpoint_hash", "data_hash"))
+        if weights is not None:
+            policy.pop("checkpoint", None)
+        execution = {**asdict(self.execution), "instruction": self.instruction, "timeout": self.timeout}
+        return Identity(
+            name=metadata.name,
+            weights=weights,
+            trained=self.trained,
+            data=data,
+            place=self.address,
+            policy=policy,
+            execution=execution,
+        )
+
+    def connect(self) -> Any:
+        """Return a client, a policy of vlagents; the token is that of the environment variable `VLAGENTS_TOKEN`.
+
+        Raises:
+            MissingDependency: vlagents is not installed.
+            InvalidSetup: The address is invalid or takes no metadata, or the file with them is wrong.
+            RcsError: There is no server, it does not answer, or it requires another token.
+        """
+        v = vlagents()
+        if self.described_in is not None and self.address.startswith("vla"):
+            raise InvalidSetup(f"{self.address} sends its own metadata; leave out described_in.")
+        try:
+            options = {} if self.described_in is None else {"metadata": _described(Path(self.described_in), v)}
+            return v.connect(
+                self.address,
+                token=os.environ.get(TOKEN),
+                timeout=self.timeout,
+                certificate=self.certificate,
+                **options,
+            )
+        except v.InvalidInput as err:
+            raise InvalidSetup(str(err)) from err
+        except (v.VlagentsError, OSError) as err:
+            raise RcsError(f"{type(err).__name__}: {err}") from err
+
+    def metadata(self) -> Metadata:
+        """Connect, and return the metadata of the policy.
+
+        Raises:
+            RcsError: There is no policy; see `connect`.
+        """
+        with self.connect() as client:
+            return client.metadata()
+
+    def __call__(self, env: Env) -> ChunkAgent:
+        """Connect, and return an agent for an environment.
+
+        Raises:
+            InvalidSetup: Policy and environment do not fit; the message has all differences.
+            RcsError: There is no policy; see `connect`.
+        """
+        client = self.connect()
+        try:
+            return ChunkAgent(env, client, execution=self.execution, instruction=self.instruction)
+        except BaseException:
+            client.close()
+            raise
+
+
+def _described(path: Path, v: Any) -> Metadata:
+    try:
+        return v.Metadata.from_dict(json.loads(path.read_text("utf-8")))
+    except (OSError, ValueError, RecursionError) as err:
+        raise InvalidSetup(f"{path} has no metadata of a policy: {err}") from err

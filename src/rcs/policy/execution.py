@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Literal
 
-from rcs_data.record import NotNegative, Record, Whole
+from rcs_data.options import NotNegative, Record, Whole
 
 from rcs.policy.plan import Blend, ChunkPlan, Command, Ensemble, Plan
 from rcs.worker import Worker
@@ -16,12 +16,10 @@ from rcs.worker import Worker
 Mode = Literal["open_loop", "receding", "ensemble", "rtc"]
 """`open_loop`: execute some rows, hold, call the policy. `receding`: call it while the rest of the chunk is executed,
 and change over when the answer is there. `ensemble`: call it all the time, and execute the mean of all chunks for the
-moment (ACT). `rtc`: as `receding`, but blend over from the chunk in flight (real-time chunking)."""
+moment (ACT). `rtc`: as `receding`, but blend over from the chunk in flight (as in real-time chunking)."""
 
 NEAR = 1e-9
 """Time that is rounding [s]."""
-_DELAYS = 10
-"""As in real-time chunking, the longest of so many last delays is expected next."""
 
 _log = logging.getLogger(__name__)
 
@@ -33,7 +31,8 @@ class Execution(Record):
     """
 
     mode: Mode = "receding"
-    """Time of calls of the policy, and how its answer is used."""
+    """How chunks are executed: `open_loop` executes rows, then holds until the next answer; `receding` calls the policy
+    while the rest is executed; `ensemble` takes the mean of all chunks; `rtc` blends over from the chunk in flight."""
     rows: Whole | None = None
     """Rows of a chunk that pass, by time, before the policy is called again. None for all of them in `open_loop`, and
     half of them otherwise; `ensemble` calls it as often as it answers."""
@@ -81,9 +80,8 @@ class PolicyCall:
         self.is_done.set()
 
 
-Question = Callable[[Plan | None, float], Callable[[], ChunkPlan]]
-"""Makes a call of the present observation, from the plan that is still executed, for policies that continue it, and the
-time that passes until the result is expected [s]."""
+Question = Callable[[], Callable[[], ChunkPlan]]
+"""Makes a call of the present observation."""
 
 
 class Executor:
@@ -112,14 +110,10 @@ class Executor:
         self._plan: Plan | None = None
         self._newest: ChunkPlan | None = None
         self._due = 0.0
-        self._latencies: list[float] = []
+        self.latency = float("nan")
+        """Delay of the newest answer, in the time of the loop [s]."""
         self._retry_at: float | None = None
         self.error, self.chunks = None, 0
-
-    @property
-    def latency(self) -> float:
-        """Delay of the newest answer, in the time of the loop [s]."""
-        return self._latencies[-1] if self._latencies else float("nan")
 
     def fail(self, error: Exception, now: float) -> None:
         """Have the robot hold because of an error, at a time [s]."""
@@ -171,8 +165,7 @@ class Executor:
 
     def _start(self, now: float, question: Question) -> None:
         """Call the policy, or have the thread call it."""
-        in_flight = self._plan if self._execution.mode == "rtc" else None
-        self._call = PolicyCall(question(in_flight, max(self._latencies[-_DELAYS:], default=0.0)), now)
+        self._call = PolicyCall(question(), now)
         if self._worker is None:
             self._call.run()
         else:
@@ -193,7 +186,7 @@ class Executor:
         if self.error is not None:
             _log.warning("The policy answers again after: %s", self.error)
             self.error = None
-        self._latencies.append(latency if self._worker is None else call.seconds)
+        self.latency = latency if self._worker is None else call.seconds
         self._change_over(call.plan, now)
 
     def _change_over(self, new: ChunkPlan, now: float) -> None:
@@ -206,7 +199,7 @@ class Executor:
         self._due = min((now if mode == "open_loop" else new.begin) + rows * new.period, new.end)
         if mode == "ensemble":
             self._plan = old.joined(new, now) if isinstance(old, Ensemble) else Ensemble([new], self._execution.decay)
-        elif mode == "rtc" and old is not None and old.end > now + NEAR and not new.continues:
+        elif mode == "rtc" and old is not None and old.end > now + NEAR:
             self._plan = Blend(old, new, now, old.end)
         else:
             self._plan = new

@@ -16,7 +16,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.agents.action_writer import difference
 from rcs.envs.layers.relative import shift
 from rcs.errors import InvalidSetup
 from rcs.spatial import interpolate, normalize, tquat_to_xyzrpy, xyzrpy_to_tquat
@@ -76,13 +75,6 @@ class Part:
     def write(self, value: Array) -> Array:
         """Return a value in the form of the environment's action."""
         return tquat_to_xyzrpy(value) if self.kind == "rpy" else value
-
-    def unread(self, value: Array, start: Array | None) -> Array:
-        """Return a value in the form of a chunk's row that counts from a state: the inverse of `read`."""
-        if self.counts_from_start:
-            assert start is not None, "the agent gives the state of every part that counts from it"
-            value = difference(start, value) if self.is_pose else value - start
-        return (self.write(value) - (0.0 if self.is_difference else self.offset)) / self.scale
 
     def between(self, a: Array, b: Array, fraction: float) -> Array:
         """Return the interpolation of two targets, or of two motions of the same time."""
@@ -153,7 +145,6 @@ class ChunkPlan(Plan):
         time: float,
         period: float,
         start: Mapping[str, Array] | None = None,
-        continues: bool = False,
     ) -> None:
         """Take a chunk.
 
@@ -164,7 +155,6 @@ class ChunkPlan(Plan):
             period: Duration of each row [s].
             start: Targets or state at that time by part, from where the first row is reached; without one, the first
                 row is commanded at once.
-            continues: Whether the policy itself has continued the chunk in flight.
 
         Raises:
             InvalidSetup: A row is not finite, or the period is not positive.
@@ -173,7 +163,6 @@ class ChunkPlan(Plan):
             raise InvalidSetup("A chunk has values that are not finite, or a period that is not above 0 s.")
         self.parts = list(parts)
         self.begin, self.period = time, period
-        self.continues = continues
         self._count = len(actions)
         self.end = time + self._count * period
         self._start = dict(start or {})

@@ -2,14 +2,12 @@
 
 A run's folder has
 
-    training.json             what is trained
     checkpoints/<steps>/      complete when it is there
         checkpoint.json       the training, the layout of the policy's vectors, its score, hashes of the files
         policy.pt             the weights that act
         learner.pt            the rest from which training continues; in the newest checkpoints alone
     replay/<first>-<last>.pt  transitions that learners remember, each written once
     metrics.jsonl             a line of figures now and then
-    tensorboard/              the same as TensorBoard's events
     videos/<steps>.mp4
     report.html
 """
@@ -20,18 +18,18 @@ import hashlib
 import io
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rcs_data.durable import disk_errors, remove_tree, sealed, sync_folder, unsealed, write_file
-from rcs_data.json_file import read_bytes
-from rcs_data.record import Natural, Record
+from rcs_data.files.durable import disk_errors, remove_tree, sealed, sync_folder, unsealed, write_file
+from rcs_data.files.json_file import read_bytes
+from rcs_data.options import Natural, Record
 
 from rcs.errors import CorruptCheckpoint, CorruptEpisode, InvalidSetup
+from rcs.extras import package_of
 from rcs.rl.layout import FlatLayout
-from rcs.rl.packages import package
 from rcs.rl.training import VERSION, Training
 
 CHECKPOINTS = "checkpoints"
@@ -39,6 +37,7 @@ DESCRIPTION = "checkpoint.json"
 POLICY = "policy.pt"
 LEARNER = "learner.pt"
 REPLAY = "replay"
+VIDEOS = "videos"
 RESUMABLE = 3
 """Training can continue from so many of the newest checkpoints: if one is damaged, from the one before."""
 
@@ -71,15 +70,14 @@ class Score(Record):
         return self.successes / self.judged if self.judged else self.reward
 
 
-@dataclass(frozen=True, kw_only=True)
-class Checkpoint:
+class Checkpoint(Record):
     """A checkpoint's description; weights are read on demand."""
 
     path: Path
     """Its folder."""
     training: Training
     """The training."""
-    steps: int
+    steps: Natural
     """Environment steps that were made before, of all copies together."""
     seconds: float
     """Duration of the training until here [s]."""
@@ -135,7 +133,7 @@ class Checkpoint:
 def packed(values: Mapping[str, Any]) -> bytes:
     """Return nested dictionaries, lists and tuples of tensors, arrays, numbers and texts as a file of torch."""
     file = io.BytesIO()
-    package("torch").save(_with_tensors(values), file)
+    package_of("rl", "torch").save(_with_tensors(values), file)
     return file.getvalue()
 
 
@@ -150,7 +148,7 @@ def unpacked(data: bytes, path: Path) -> dict[str, Any]:
         CorruptCheckpoint: They are not such values.
     """
     try:
-        return _with_arrays(package("torch").load(io.BytesIO(data), map_location="cpu", weights_only=True))
+        return _with_arrays(package_of("rl", "torch").load(io.BytesIO(data), map_location="cpu", weights_only=True))
     except Exception as err:  # torch raises whatever the damage leads to
         raise CorruptCheckpoint(f"{path} is damaged: {type(err).__name__}: {str(err).splitlines()[0]}") from err
 
@@ -161,7 +159,7 @@ def _with_tensors(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return type(value)(map(_with_tensors, value))
     if isinstance(value, np.ndarray):
-        return {_ARRAY: package("torch").from_numpy(np.array(value, order="C"))}
+        return {_ARRAY: package_of("rl", "torch").from_numpy(np.array(value, order="C"))}
     return value.item() if isinstance(value, np.generic) else value
 
 
@@ -202,17 +200,13 @@ def write_checkpoint(
             (run / REPLAY).mkdir(exist_ok=True)
             files[name] = _write(run / name, rows)
             sync_folder(run / REPLAY)
-        if not folder.is_dir():
-            folder.mkdir()
-            sync_folder(run)
         remove_tree(partial)
         partial.mkdir()
         files[POLICY] = _write(partial / POLICY, policy)
         files[LEARNER] = _write(partial / LEARNER, learner)
         made = replace(about, path=place, files=files)
-        values = {name: own for name, own in vars(made).items() if name != "path"}
-        records = {name: own.to_json() for name, own in values.items() if isinstance(own, Record)}
-        write_file(partial / DESCRIPTION, sealed({"version": VERSION, **values, **records}))
+        values = {name: own for name, own in made.to_json().items() if name != "path"}
+        write_file(partial / DESCRIPTION, sealed({"version": VERSION, **values}))
         sync_folder(partial)
         remove_tree(place)  # a damaged one, or one of a run that continued from an earlier one
         partial.rename(place)
@@ -242,26 +236,16 @@ def open_checkpoint(path: str | Path, *, trust: Collection[str] = ()) -> Checkpo
         values = unsealed(read_bytes(place / DESCRIPTION), place / DESCRIPTION)
     except CorruptEpisode as err:
         raise CorruptCheckpoint(str(err)) from err
-    if (version := values.get("version")) != VERSION:
+    if (version := values.pop("version", None)) != VERSION:
         raise InvalidSetup(
             f"{place} was written in version {version!r} of the format of checkpoints; this program reads version "
             f"{VERSION}. Versions that wrote it: {values.get('versions')}."
         )
     try:
-        return Checkpoint(
-            path=place,
-            training=Training.from_json(values["training"], trust=trust),
-            steps=int(values["steps"]),
-            seconds=float(values["seconds"]),
-            layout=FlatLayout.from_json(values["layout"]),
-            score=None if values["score"] is None else Score.from_json(values["score"]),
-            versions=dict(values["versions"]),
-            files={str(name): str(digest) for name, digest in values["files"].items()},
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as err:
-        if isinstance(err, InvalidSetup | CorruptCheckpoint):
-            raise
-        raise CorruptCheckpoint(f"{place / DESCRIPTION} lacks something: {type(err).__name__}: {err}.") from err
+        training = Training.from_json(values.get("training", {}), trust=trust)
+        return Checkpoint.from_json({**values, "path": place, "training": training})
+    except InvalidSetup as err:
+        raise InvalidSetup(f"{place / DESCRIPTION}: {err}") from err
 
 
 def checkpoints_of(run: str | Path) -> list[Path]:
@@ -311,6 +295,22 @@ def find_checkpoint(path: str | Path, *, trust: Collection[str] = ()) -> Checkpo
             f"of its folders {CHECKPOINTS}/<steps>."
         )
     return best_of(found) or found[-1]
+
+
+def read_training(run: Path, *, trust: Collection[str] = ()) -> Training:
+    """Return the training of a run's folder, as its newest checkpoint has it.
+
+    Args:
+        run: The folder.
+        trust: Modules that may be imported because the setup names a class of theirs.
+
+    Raises:
+        InvalidSetup: There is no run, or another version of this program began it.
+        CorruptCheckpoint: All checkpoints are damaged.
+    """
+    if not (checkpoints := whole_checkpoints(run, trust=trust)):
+        raise InvalidSetup(f"There is no training in {run}; `rcs train TASK --out {run}` begins one.")
+    return checkpoints[-1].training
 
 
 def best_of(found: Sequence[Checkpoint]) -> Checkpoint | None:

@@ -14,13 +14,11 @@ from rcs.envs.setup import Setup
 from rcs.envs.spaces import FINGER_CONTACTS, IS_GRASPED, PRIVILEGED
 from rcs.envs.step.state import EnvState
 from rcs.envs.vector import VecEnv
-from rcs.rl.algorithms import Dagger
+from rcs.extras import package_of
 from rcs.rl.flat import STATE, Flat
-from rcs.rl.layout import Selection
 from rcs.rl.learner import Learner, env_state_of
 from rcs.rl.networks import make_student
-from rcs.rl.packages import package
-from rcs.rl.training import Training
+from rcs.rl.training import Dagger, Training
 
 _HIDDEN = {"privileged": (PRIVILEGED,), "contacts": (FINGER_CONTACTS, IS_GRASPED)}
 """Keys that the teacher observes besides, by the setup's word for them."""
@@ -44,7 +42,7 @@ def student_flat(envs: VecEnv, setup: Setup) -> Flat:
     hidden = {key for word, own in _HIDDEN.items() if word not in setup.observe for key in own}
     hidden |= {"xyzrpy", "frames"}  # the pose is there as `tquat`, frames are no part of the state
     space: Any = envs.single_observation_space
-    return Flat(envs, Selection(keys=tuple(key for key in space.spaces if key not in hidden)))
+    return Flat(envs, keys=[key for key in space.spaces if key not in hidden])
 
 
 class DaggerLearner(Learner):
@@ -53,13 +51,12 @@ class DaggerLearner(Learner):
     All observations stay in memory: two frames of 64 px are 25 kB a step, 40 000 steps 1 GB.
     """
 
-    def __init__(self, training: Training, envs: VecEnv, flat: Flat) -> None:
+    def __init__(self, training: Training, envs: VecEnv) -> None:
         """Make the student and start an episode in every copy.
 
         Args:
-            training: What is learned, by `Dagger` or `Bc`.
+            training: What is learned, by `Dagger`.
             envs: Copies of its `teaching_setup`, made with `autoreset="SameStep"`.
-            flat: The student's maps, `student_flat`.
 
         Raises:
             MissingDependency: torch is not installed.
@@ -69,8 +66,9 @@ class DaggerLearner(Learner):
         """
         algorithm = training.algorithm
         assert isinstance(algorithm, Dagger)
-        torch = self._torch = package("torch")
-        self.training, self.envs, self.flat, self._algorithm = training, envs, flat, algorithm
+        torch = self._torch = package_of("rl", "torch")
+        self.training, self.envs, self._algorithm = training, envs, algorithm
+        self.flat = student_flat(envs, training.setup)
         self._teacher = agent_for(envs, algorithm.teacher)  # pyright: ignore[reportArgumentType]  that acts in copies
         self._rng = np.random.default_rng(training.seed)
         torch.manual_seed(training.seed)

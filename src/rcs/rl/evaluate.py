@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 
 from rcs.agents import Agent
@@ -15,7 +17,8 @@ from rcs.rl.training import Training
 from rcs.rollout.batch import run_batch
 from rcs.rollout.collect import Attempt
 from rcs.rollout.episode import run_episode
-from rcs.rollout.evaluate import Evaluation, Evaluator, Summary
+from rcs.rollout.evaluate import evaluate
+from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.video import Film
 from rcs.setups.make import make, make_vec
 
@@ -26,7 +29,7 @@ COPIES = 32
 def evaluate_in_batch(
     evaluation: Evaluation, summary: Summary | None = None, *, copies: int = COPIES, threads: int = 0
 ) -> Iterator[Attempt]:
-    """Run the episodes of an evaluation and yield each as it ends: those that are filmed alone, all others in a batch.
+    """Run the episodes of an evaluation in a batch, and yield each as it ends; none is filmed.
 
     Args:
         evaluation: The evaluation; its agent is the path of a checkpoint. `workers` is not used.
@@ -41,36 +44,20 @@ def evaluate_in_batch(
     """
     if not is_path(evaluation.agent):
         raise InvalidSetup(f"Evaluation in a batch needs the path of a checkpoint; the agent is {evaluation.agent!r}.")
-    summary = Summary() if summary is None else summary
-    numbers = range(evaluation.episodes)
-    filmed = numbers[: evaluation.videos]
-    alone = Evaluator(evaluation) if filmed else None
-    try:
-        for number in filmed:
-            if summary.is_interrupted or alone is None:
-                return
-            summary.attempts.append(alone.attempt(number))
-            yield summary.attempts[-1]
-    finally:
-        for_all([] if alone is None else [alone.close])
-    left = numbers[len(filmed) :]
-    if not left:
+    yield from evaluate(evaluation, summary, maker=partial(_in_batch, copies=copies, threads=threads))
+
+
+def _in_batch(evaluation: Evaluation, numbers: Iterator[int], *, copies: int, threads: int) -> Generator[Attempt]:
+    first = list(islice(numbers, 1))  # before anything is made: there may be nothing to do
+    if not first:
         return
-    envs = make_vec(evaluation.setup, copies=min(copies, len(left)), threads=threads, autoreset="Disabled")
+    copies = min(copies, len(evaluation.numbers))
+    envs = make_vec(evaluation.setup, copies=copies, threads=threads, autoreset="Disabled")
     try:
         agent = PolicyAgent.load(evaluation.agent, envs)
-        for attempt in run_batch(envs, agent, _until_interrupted(left, summary), evaluation.seed_of):
-            summary.attempts.append(attempt)
-            yield attempt
+        yield from run_batch(envs, agent, chain(first, numbers), evaluation.seed_of)
     finally:
         envs.close()
-
-
-def _until_interrupted(numbers: range, summary: Summary) -> Iterator[int]:
-    for number in numbers:
-        if summary.is_interrupted:
-            return
-        yield number
 
 
 class TrainingEvaluator:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from rcs.envs.env import Env
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidAction, InvalidSetup
-from rcs.rl.layout import Entry, FlatLayout, Image, Kind, Selection, layout_of
+from rcs.rl.layout import Entry, FlatLayout, Image, Kind, layout_of
 from rcs.spatial import compose, normalize, relative, tquat_to_matrix
 
 STATE = "state"
@@ -31,23 +31,25 @@ class Flat:
     them.
     """
 
-    def __init__(self, of: Env | VecEnv | FlatLayout, selection: Selection | None = None) -> None:
+    def __init__(self, of: Env | VecEnv | FlatLayout, *, keys: Sequence[str] | None = None) -> None:
         """Prepare the maps.
 
         Args:
             of: An environment, also under Gymnasium's wrappers, or the layout of another Flat.
-            selection: Contents of the vectors of an environment; None for everything.
+            keys: Observed keys of the environment besides frames, such as `joints`, `privileged/cuboid` or, of several
+                robots, `left`; a key of a dictionary selects all keys inside. None for all but `xyzrpy`, which says the
+                same as `tquat`.
 
         Raises:
-            InvalidSetup: A space is not one of numbers, a key or a camera is unknown, or nothing is left.
+            InvalidSetup: A space is not one of numbers, a key is unknown, or nothing is left.
         """
-        if isinstance(of, FlatLayout) and selection is not None:
-            raise InvalidSetup("A layout was given and also a selection; the layout says what the vectors have.")
-        self.layout = of if isinstance(of, FlatLayout) else layout_of(of, selection or Selection())
+        if isinstance(of, FlatLayout) and keys is not None:
+            raise InvalidSetup("A layout was given and also keys; the layout says what the vectors have.")
+        self.layout = of if isinstance(of, FlatLayout) else layout_of(of, keys)
         """The layout of the vectors."""
         layout = self.layout
         self._action, self._state = _Scaling(layout.action), _Scaling(layout.state)
-        self._poses = _PoseFeatures(layout.state, layout.bases)
+        self._poses = _PoseFeatures(layout)
         self.action_space = spaces.Box(-1.0, 1.0, (layout.action_size,), np.float32)
         """The space of vectors of one action."""
         state_space = spaces.Box(-np.inf, np.inf, (layout.state_size,), np.float32)
@@ -129,18 +131,18 @@ class FlatEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     """
 
-    def __init__(self, env: gymnasium.Env[Any, Any], selection: Selection | None = None) -> None:
+    def __init__(self, env: gymnasium.Env[Any, Any], *, keys: Sequence[str] | None = None) -> None:
         """Wrap an environment.
 
         Args:
             env: Made by `rcs.make`, also under Gymnasium's wrappers.
-            selection: Contents of the vectors; None for everything.
+            keys: Observed keys; see `Flat`.
 
         Raises:
             InvalidSetup: See `Flat`.
         """
         super().__init__(env)
-        self.flat = Flat(env, selection)  # pyright: ignore[reportArgumentType]  a wrapped one is an Env inside
+        self.flat = Flat(env, keys=keys)  # pyright: ignore[reportArgumentType]  a wrapped one is an Env inside
         """The maps."""
         self.action_space, self.observation_space = self.flat.action_space, self.flat.observation_space
 
@@ -156,82 +158,53 @@ class FlatEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 class _PoseFeatures:
-    """Computes all entries that follow from poses at once."""
+    """Computes all entries that follow from poses: the last of a vector, kind by kind, as a layout orders them."""
 
-    def __init__(self, entries: Sequence[Entry], bases: Mapping[str, Sequence[float]]) -> None:
-        """Prepare to write them.
+    def __init__(self, layout: FlatLayout) -> None:
+        def of(kind: Kind) -> list[Entry]:
+            return [entry for entry in layout.state if entry.kind == kind]
 
-        Args:
-            entries: All entries of the observation.
-            bases: For several robots, the poses of their bases in the scene by name, (7,) [m], xyzw.
-        """
-        ends = np.cumsum([0, *(entry.size for entry in entries)])
-        place = {(one.kind, one.name): ends[i : i + 2] for i, one in enumerate(entries)}
-        derived = [entry for entry in entries if entry.kind != "value"]
-        self.poses = list(dict.fromkeys(key for entry in derived for key in (entry.key, entry.to) if key))
+        self.poses = [entry.key for entry in of("turn")]
         """Keys of the poses that are read."""
+        self._begin = sum(entry.size for entry in layout.state if entry.kind == "value")
         number = {key: i for i, key in enumerate(self.poses)}
+        self._first, self._second = ([number[getattr(entry, end)] for entry in of("offset")] for end in ("key", "to"))
+        self._halves = len(of("half_turn"))  # of the first pairs
+        near = self._begin + 6 * len(self.poses) + 3 * len(self._first)
+        self._near = slice(near, near + 3 * len(self._first))
         # For several robots, each TCP is in the frame of its own base, and objects are in the scene.
-        robots = {key: key.partition("/")[0] for key in self.poses}
-        self._bases = {number[key]: np.array(bases[robot]) for key, robot in robots.items() if robot in bases}
-        pairs = list(dict.fromkeys((number[one.key], number[one.to]) for one in derived if one.to))
-        self._first, self._second = [first for first, _ in pairs], [second for _, second in pairs]
-        of_pair = {pair: i for i, pair in enumerate(pairs)}
-
-        def of(*kinds: Kind) -> list[Entry]:
-            return [entry for kind in kinds for entry in derived if entry.kind == kind]
-
-        def chosen(entries: Sequence[Entry]) -> NDArray[np.intp]:
-            return np.array([of_pair[number[one.key], number[one.to]] for one in entries], np.intp)
-
-        def places(entries: Sequence[Entry]) -> Any:
-            """Return the places in the vector, as a slice if they follow each other; None if there are none."""
-            if not entries:
-                return None
-            found = np.concatenate([np.arange(*place[entry.kind, entry.name]) for entry in entries])
-            first, end = int(found[0]), int(found[-1]) + 1
-            return slice(first, end) if np.array_equal(found, np.arange(first, end)) else found
-
-        turns, ways, relative_turns, halves = of("turn"), of("offset", "near"), of("relative_turn"), of("half_turn")
-        self._turns = np.array([number[one.key] for one in turns], np.intp)
-        self._ways, self._way_places = chosen(ways), places(ways)
-        self._turned = chosen([*relative_turns, *halves])
-        self._count = len(turns) + len(relative_turns)
-        self._columns, self._halves = places([*turns, *relative_turns]), places(halves)
-        self._near = places(of("near"))
+        robots = {i: key.partition("/")[0] for i, key in enumerate(self.poses)}
+        self._bases = {i: np.array(layout.bases[robot]) for i, robot in robots.items() if robot in layout.bases}
 
     def write(self, poses: NDArray[np.float64], raw: NDArray[np.float64]) -> None:
-        """Write the features into a vector (..., n), in their units.
+        """Write them, in their units.
 
         Args:
             poses: The poses of the keys in `poses`, (..., poses, 7) [m], xyzw.
             raw: The vector.
         """
-        leading = raw.shape[:-1]
         poses = normalize(poses)
-        turns = poses.take(self._turns, axis=-2)
+        parts = [_columns(poses)]
         if self._first:
             for i, base in self._bases.items():
                 poses[..., i, :] = compose(base, poses[..., i, :])
             first, second = poses.take(self._first, axis=-2), poses.take(self._second, axis=-2)
-            if self._way_places is not None:
-                ways = (second - first)[..., :3].take(self._ways, axis=-2)
-                raw[..., self._way_places] = ways.reshape(*leading, -1)
-            if len(self._turned):
-                turns = np.concatenate([turns, relative(first, second).take(self._turned, axis=-2)], -2)
-        columns = tquat_to_matrix(turns)[..., :3, :2].swapaxes(-1, -2)
-        if self._columns is not None:
-            raw[..., self._columns] = columns[..., : self._count, :, :].reshape(*leading, -1)
-        if self._halves is not None:
+            ways, turns = (second - first)[..., :3], _columns(relative(first, second))
             # The second pose's x axis in the x-y plane of the first, at twice its angle.
-            x, y = columns[..., self._count :, 0, 0], columns[..., self._count :, 0, 1]
-            raw[..., self._halves] = np.stack([x * x - y * y, 2.0 * x * y], -1).reshape(*leading, -1)
+            x, y = turns[..., : self._halves, 0], turns[..., : self._halves, 1]
+            parts += [ways, ways, turns, np.stack([x * x - y * y, 2.0 * x * y], -1)]
+        raw[..., self._begin :] = np.concatenate([part.reshape(*raw.shape[:-1], -1) for part in parts], -1)
 
     def bound(self, vector: NDArray[np.float64]) -> None:
         """Bring the `near` numbers of a scaled vector (..., n) between -1 and 1."""
-        if self._near is not None:
-            far = vector[..., self._near]
-            vector[..., self._near] = far / np.sqrt(1.0 + far * far)
+        far = vector[..., self._near]
+        vector[..., self._near] = far / np.sqrt(1.0 + far * far)
+
+
+def _columns(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the first two columns of the rotation matrices of poses, (..., 6)."""
+    columns = tquat_to_matrix(poses)[..., :3, :2].swapaxes(-1, -2)
+    return columns.reshape(*poses.shape[:-1], 6)
 
 
 class _Scaling:
@@ -305,8 +278,6 @@ def _at(values: Mapping[str, Any], path: Sequence[str]) -> NDArray[Any]:
 
 def _picture(observation: Mapping[str, Any], image: Image) -> NDArray[np.uint8]:
     frame = _at(observation, image.key.split("/"))
-    if image.level_mm:
-        return np.minimum(frame // np.uint16(image.level_mm), 255).astype(np.uint8)[..., None, :, :]
     if frame.shape[-3:] == image.shape:
         return frame
     return np.ascontiguousarray(np.moveaxis(frame, -1, -3))

@@ -14,9 +14,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
-from rcs_data.record import Natural, Positive, Record, Whole
+from rcs_data.options import Natural, Positive, Record, Whole
 
-from rcs.envs import spaces as keys
+from rcs.envs import spaces as names
 from rcs.envs.env import Env
 from rcs.envs.start import base_in_scene
 from rcs.envs.task import Area
@@ -32,9 +32,6 @@ NEAR = 0.1
 """Distance between two poses that is 1 [m]. Our choice: about the width of an opened gripper."""
 CLOSE = 0.03
 """Distance that is 0.7 in the feature `near` [m]. Our choice: about half the width of a cuboid."""
-DEPTH_LEVEL_MM = 8
-"""Depth of one level of a depth image [mm]: 255 levels reach 2 m, which is beyond a table."""
-
 Feature = Literal["offset", "near", "relative_turn", "half_turn"]
 """Features of a pair of poses, which follow from the poses but are hard to learn: from each TCP, and from its target
 where that is observed, to each object, and from each object to the next.
@@ -49,18 +46,6 @@ where that is observed, to each object, and from each object to the next.
 Kind = Literal["value", "turn", "offset", "near", "relative_turn", "half_turn"]
 """Kind of an entry: `value` for numbers of a key, `turn` for the rotation of a pose as the first two columns of its
 matrix, which have no jumps (Zhou et al. 2019, arXiv:1812.07035), or a feature of a pair."""
-
-
-class Selection(Record):
-    """Which observations a learner uses."""
-
-    keys: tuple[str, ...] | None = None
-    """Observed keys, such as `joints`, `privileged/cuboid` or, of several robots, `left`; a key of a dictionary selects
-    all keys inside. None for all but `xyzrpy`, which says the same as `tquat`."""
-    features: tuple[Feature, ...] = get_args(Feature)
-    """Features of pairs of poses beside the poses."""
-    cameras: tuple[str, ...] | None = None
-    """Names of the cameras whose frames are observed; None for all."""
 
 
 class Entry(Record):
@@ -106,7 +91,7 @@ class Entry(Record):
 
 
 class Image(Record):
-    """A camera's frame: uint8, channels before rows before columns."""
+    """A camera's colour frame: uint8, channels before rows before columns."""
 
     key: str
     """Its key, with slashes between levels."""
@@ -114,9 +99,6 @@ class Image(Record):
     """Its name in the flat observation."""
     shape: tuple[Whole, Whole, Whole]
     """Channels, height and width."""
-    level_mm: Natural = 0
-    """For depth, the depth of one level [mm]; level 0 has no reading and 255 is that far or farther. 0 for other
-    frames."""
 
 
 class FlatLayout(Record):
@@ -161,16 +143,15 @@ def _lines(entries: Iterable[Entry]) -> Iterator[str]:
         first = end
 
 
-def layout_of(env: Env | VecEnv, selection: Selection) -> FlatLayout:
+def layout_of(env: Env | VecEnv, keys: Sequence[str] | None = None) -> FlatLayout:
     """Return the layout of an environment's vectors.
 
     Args:
         env: The environment, also under Gymnasium's wrappers.
-        selection: Contents of the vectors.
+        keys: Observed keys; see `Flat`.
 
     Raises:
-        InvalidSetup: It is no environment of rcs, a space is not one of numbers, a key or a camera is unknown, or
-            nothing is left.
+        InvalidSetup: It is no environment of rcs, a space is not one of numbers, a key is unknown, or nothing is left.
     """
     inner: Any = getattr(env, "unwrapped", env)
     if not isinstance(inner, Env | VecEnv):
@@ -182,14 +163,14 @@ def layout_of(env: Env | VecEnv, selection: Selection) -> FlatLayout:
         area = resolve(inner.setup).task.area
     action = getattr(env, "single_action_space", env.action_space)
     observation = getattr(env, "single_observation_space", env.observation_space)
-    return layout_of_spaces(action, observation, Scales(inner.robots, area), selection)
+    return layout_of_spaces(action, observation, Scales(inner.robots, area), keys)
 
 
 def layout_of_spaces(
     action_space: spaces.Space[Any],
     observation_space: spaces.Space[Any],
     scales: Scales,
-    selection: Selection,
+    keys: Sequence[str] | None = None,
 ) -> FlatLayout:
     """Return the layout of vectors of two spaces.
 
@@ -197,20 +178,20 @@ def layout_of_spaces(
         action_space: The space of actions of one copy.
         observation_space: The space of observations of one copy.
         scales: The scales of observed keys.
-        selection: Contents of the vectors.
+        keys: Observed keys; see `Flat`.
 
     Raises:
-        InvalidSetup: A space is not one of numbers, a key or a camera is unknown, or nothing is left.
+        InvalidSetup: A space is not one of numbers, a key is unknown, or nothing is left.
     """
     actions, found = _boxes(action_space, "action"), _boxes(observation_space, "observation")
-    frames = {key: box for key, box in found.items() if key.partition("/")[0] == keys.FRAMES}
-    state = _selected({key: box for key, box in found.items() if key not in frames}, selection.keys)
+    frames = {key: box for key, box in found.items() if key.partition("/")[0] == names.FRAMES}
+    state = _selected({key: box for key, box in found.items() if key not in frames}, keys)
     if unbounded := [key for key, box in actions.items() if not box.is_bounded()]:
         raise InvalidSetup(f"The action {unbounded[0]!r} has no finite bounds to be mapped to -1 and 1.")
     layout = FlatLayout(
         action=tuple(_value(key, box, *bounds_of(box)) for key, box in actions.items()),
-        state=tuple(_state_entries(state, scales, selection.features)),
-        images=_images(frames, selection.cameras),
+        state=tuple(_state_entries(state, scales)),
+        images=tuple(_images(frames)),
         bases={name: _base(robot) for name, robot in scales.robots.items()} if len(scales.robots) > 1 else {},
     )
     if not layout.action:
@@ -248,53 +229,45 @@ def _selected(found: Mapping[str, spaces.Box], wanted: Sequence[str] | None) -> 
 
 def _is_redundant(key: str, found: Iterable[str]) -> bool:
     """Return whether a key is the pose in roll, pitch and yaw, beside the same with a quaternion."""
-    return _last(key) == keys.XYZRPY and key.removesuffix(keys.XYZRPY) + keys.TQUAT in found
+    return _last(key) == names.XYZRPY and key.removesuffix(names.XYZRPY) + names.TQUAT in found
 
 
 def _names(found: Iterable[str]) -> str:
-    return ", ".join(key for key in found if key.partition("/")[0] != keys.FRAMES) or "none"
+    return ", ".join(key for key in found if key.partition("/")[0] != names.FRAMES) or "none"
 
 
 def _last(key: str) -> str:
     return key.rpartition("/")[2]
 
 
-def _images(frames: Mapping[str, spaces.Box], cameras: Sequence[str] | None) -> tuple[Image, ...]:
-    known = list(dict.fromkeys(key.split("/")[1] for key in frames))
-    if unknown := [name for name in cameras or () if name not in known]:
-        raise InvalidSetup(f"There are no cameras {unknown}; valid: {', '.join(map(repr, known)) or 'none'}.")
-    found: list[Image] = []
-    for name in known if cameras is None else cameras:
-        for key, box in frames.items():
-            _, camera, kind = key.split("/")
-            if camera != name or kind not in (keys.RGB, keys.PIXELS, keys.DEPTH):
-                continue
-            rows, columns = box.shape[1:] if kind == keys.PIXELS else box.shape[:2]
-            if kind == keys.DEPTH:
-                shape = (1, rows, columns)
-                found.append(Image(key=key, name=f"{name}_depth", shape=shape, level_mm=DEPTH_LEVEL_MM))
-            else:
-                channels = box.shape[0] if kind == keys.PIXELS else box.shape[2]
-                found.append(Image(key=key, name=name, shape=(channels, rows, columns)))
-    return tuple(found)
+def _images(frames: Mapping[str, spaces.Box]) -> Iterator[Image]:
+    for key, box in frames.items():
+        _, camera, kind = key.split("/")
+        if kind == names.PIXELS:
+            channels, rows, columns = box.shape
+        elif kind == names.RGB:
+            rows, columns, channels = box.shape
+        else:
+            continue
+        yield Image(key=key, name=camera, shape=(channels, rows, columns))
 
 
-def _state_entries(boxes: Mapping[str, spaces.Box], scales: Scales, features: Sequence[Feature]) -> Iterator[Entry]:
+def _state_entries(boxes: Mapping[str, spaces.Box], scales: Scales) -> Iterator[Entry]:
     """Yield the entries of an observation: all values, then the rotations of poses, then features of pairs."""
     poses: list[str] = []
     for key, box in boxes.items():
         offset, scale = scales.of(key, box)
-        if _last(key) == keys.TQUAT and box.shape == (7,):
+        if _last(key) == names.TQUAT and box.shape == (7,):
             poses.append(key)
             yield _value(key, box, offset[:3], scale[:3], unit="m")
         else:
             yield _value(key, box, offset, scale)
     for key in poses:
         yield _feature(key, "turn", 6)
-    objects = [key for key in poses if key.startswith(f"{keys.PRIVILEGED}/")]
+    objects = [key for key in poses if key.startswith(f"{names.PRIVILEGED}/")]
     tcps = [key for key in poses if key not in objects]
     length = 1.0 if scales.area is None else scales.area.object_scale
-    for feature in features:
+    for feature in get_args(Feature):
         for first, second in [*((tcp, other) for tcp in tcps for other in objects), *pairwise(objects)]:
             if feature == "relative_turn":
                 yield _feature(first, feature, 6, to=second)
@@ -312,7 +285,7 @@ def _value(key: str, box: spaces.Box, offset: ArrayLike, scale: ArrayLike, unit:
         dtype=np.dtype(box.dtype or np.float64).name,
         offset=tuple(np.asarray(offset).tolist()),
         scale=tuple(np.asarray(scale).tolist()),
-        unit=keys.UNITS.get(_last(key), "") if unit is None else unit,
+        unit=names.UNITS.get(_last(key), "") if unit is None else unit,
     )
 
 
@@ -339,15 +312,15 @@ class Scales:
         robot = self._robot(key)
         arm = (robot or next(iter(self.robots.values()))).arm
         match _last(key):
-            case keys.TQUAT | keys.XYZRPY as kind:
+            case names.TQUAT | names.XYZRPY as kind:
                 middle, half = self._around(robot)
-                turns = np.full(3, np.pi) if kind == keys.XYZRPY else np.ones(4)
+                turns = np.full(3, np.pi) if kind == names.XYZRPY else np.ones(4)
                 return np.append(middle, np.zeros(len(turns))), np.append(half, turns)
-            case keys.JOINT_VELOCITIES:
+            case names.JOINT_VELOCITIES:
                 return np.zeros(size), np.array(np.broadcast_to(arm.velocity_limit, size))
-            case keys.VELOCITY:
+            case names.VELOCITY:
                 return np.zeros(size), np.repeat((arm.tcp_speed, arm.tcp_turn_speed), 3)
-            case keys.TCP_WRENCH:
+            case names.TCP_WRENCH:
                 return np.zeros(size), np.repeat([FORCE, MOMENT], 3)
             case _:
                 return bounds_of(box)

@@ -1,4 +1,4 @@
-"""Figures of a run over its steps, as lines of JSON and as events of TensorBoard."""
+"""Figures of a run over its steps, as lines of JSON."""
 
 from __future__ import annotations
 
@@ -7,29 +7,26 @@ import math
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
-from rcs_data.closing import Closing
-from rcs_data.durable import disk_errors, remove_tree, write_all, write_file
-from rcs_data.json_file import parsed_json
+from rcs_data.files.closing import Closing
+from rcs_data.files.durable import disk_errors, write_all, write_file
+from rcs_data.files.json_file import parsed_json
+from rcs_data.options import Natural, Record
 
-from rcs.errors import CorruptEpisode
-from rcs.rl.packages import package
+from rcs.errors import CorruptEpisode, InvalidSetup
 
 METRICS = "metrics.jsonl"
-TENSORBOARD = "tensorboard"
 
 EPISODES, SUCCESSES, JUDGED = "evaluation/episodes", "evaluation/successes", "evaluation/judged"
 RATE, REWARD, LENGTH = "evaluation/success_rate", "evaluation/reward", "evaluation/length"
 SPEED = "time/steps_per_s"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Row:
+class Row(Record):
     """Figures of one moment of a run."""
 
-    steps: int
+    steps: Natural
     """Environment steps before, of all copies together."""
     seconds: float
     """Duration of the training until here [s]."""
@@ -40,7 +37,7 @@ class Row:
 
     def line(self) -> bytes:
         """Return the row as a line of JSON."""
-        return (json.dumps(vars(self) | {"figures": dict(self.figures)}) + "\n").encode()
+        return (json.dumps(self.to_json()) + "\n").encode()
 
 
 def read_metrics(run: Path) -> list[Row]:
@@ -52,11 +49,8 @@ def read_metrics(run: Path) -> list[Row]:
         return rows
     for line in lines:
         try:
-            values = parsed_json(line, run / METRICS)
-            figures = {str(name): float(value) for name, value in values["figures"].items()}
-            own = {name: float(values[name]) for name in ("seconds", "time")}
-            rows.append(Row(steps=int(values["steps"]), figures=figures, **own))
-        except (CorruptEpisode, KeyError, TypeError, ValueError, AttributeError):
+            rows.append(Row.from_json(parsed_json(line, run / METRICS)))
+        except (CorruptEpisode, InvalidSetup, TypeError):
             break
     return rows
 
@@ -72,7 +66,6 @@ class Metrics(Closing):
             after: The step from which training continues; later rows are removed. -1 removes all.
 
         Raises:
-            MissingDependency: TensorBoard is not installed.
             DatasetError: The disk fails.
         """
         self.rows = [row for row in read_metrics(run) if row.steps <= after]
@@ -81,12 +74,7 @@ class Metrics(Closing):
         with disk_errors("write figures", path):
             write_file(path, b"".join(row.line() for row in self.rows))
             self._file = os.open(path, os.O_WRONLY | os.O_APPEND)
-            # Events of a killed process are written anew: TensorBoard would show steps that were made twice.
-            remove_tree(run / TENSORBOARD)
-            self._board = package("torch.utils.tensorboard").SummaryWriter(str(run / TENSORBOARD))
         self._path = path
-        for row in self.rows:
-            self._show(row)
 
     def add(self, steps: int, seconds: float, figures: Mapping[str, float]) -> Row:
         """Add a row; figures that are not finite are left out.
@@ -99,22 +87,15 @@ class Metrics(Closing):
         self.rows.append(row)
         with disk_errors("write figures", self._path):
             write_all(self._file, row.line())
-        self._show(row)
         return row
 
     def sync(self) -> None:
         """Bring all rows to the disk, before a checkpoint that counts on them."""
         with disk_errors("write figures", self._path):
             os.fsync(self._file)
-        self._board.flush()
-
-    def _show(self, row: Row) -> None:
-        for name, value in row.figures.items():
-            self._board.add_scalar(name, value, row.steps, walltime=row.time)
 
     def close(self) -> None:
         """Close the files. Closing twice is harmless."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
-            self._board.close()

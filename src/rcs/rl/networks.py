@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from rcs.rl.algorithms import Algorithm, Dagger, Ppo, Sac
+from rcs.extras import package_of
 from rcs.rl.flat import STATE, Flat
-from rcs.rl.packages import package
+from rcs.rl.training import Algorithm, Dagger, Ppo
 
 FEATURES_PER_CAMERA = 256
 """Numbers that the convolutions (Mnih et al. 2015) make of each frame; Stable-Baselines3's usual figure."""
@@ -29,10 +29,9 @@ def make_policy(algorithm: Algorithm, flat: Flat) -> Any:
     """
     if isinstance(algorithm, Dagger):
         return make_student(algorithm, flat).eval()
-    sb3, has_images = package("stable_baselines3"), isinstance(flat.observation_space, spaces.Dict)
-    kinds = (sb3.PPO if isinstance(algorithm, Ppo) else sb3.SAC).policy_aliases
+    sb3, has_images = package_of("rl", "stable_baselines3"), isinstance(flat.observation_space, spaces.Dict)
     options = network_options(algorithm, has_images=has_images)
-    kind = kinds["MultiInputPolicy" if has_images else "MlpPolicy"]
+    kind = sb3.PPO.policy_aliases["MultiInputPolicy" if has_images else "MlpPolicy"]
     policy = kind(flat.observation_space, flat.action_space, lambda _: 0.0, **options)
     policy.set_training_mode(False)
     return policy
@@ -43,9 +42,6 @@ def mean_action(policy: Any) -> Callable[[Any], Any]:
 
     It acts without exploration, and without the distributions that the policy's own methods make on the way.
     """
-    if hasattr(policy, "actor"):
-        actor, torch = policy.actor, package("torch")
-        return lambda observation: torch.tanh(actor.get_action_dist_params(observation)[0])
     if not hasattr(policy, "action_net"):
         return policy  # a student, which is that function
     return lambda observation: policy.action_net(
@@ -53,17 +49,16 @@ def mean_action(policy: Any) -> Callable[[Any], Any]:
     )
 
 
-def network_options(algorithm: Ppo | Sac, *, has_images: bool) -> dict[str, Any]:
-    """Return the options of Stable-Baselines3's policies for an algorithm."""
-    nn = package("torch.nn")
+def network_options(algorithm: Ppo, *, has_images: bool) -> dict[str, Any]:
+    """Return the options of Stable-Baselines3's policies for PPO."""
+    nn = package_of("rl", "torch.nn")
     options: dict[str, Any] = {
         "net_arch": list(algorithm.network),
         "activation_fn": {"tanh": nn.Tanh, "relu": nn.ReLU}[algorithm.activation],
+        "log_std_init": algorithm.log_std_init,
     }
-    if isinstance(algorithm, Ppo):
-        options["log_std_init"] = algorithm.log_std_init
-        if algorithm.near_and_far and not has_images:
-            options["features_extractor_class"] = _near_and_far()
+    if algorithm.near_and_far and not has_images:
+        options["features_extractor_class"] = _near_and_far()
     if has_images:
         options["features_extractor_kwargs"] = {"cnn_output_dim": FEATURES_PER_CAMERA}
     return options
@@ -72,8 +67,8 @@ def network_options(algorithm: Ppo | Sac, *, has_images: bool) -> dict[str, Any]
 @cache
 def _near_and_far() -> Any:
     """Return the class of features with every number x twice, as 2 tanh(x / 2) and as tanh(4 x)."""
-    torch = package("torch")
-    base: Any = package("stable_baselines3.common.torch_layers").BaseFeaturesExtractor
+    torch = package_of("rl", "torch")
+    base: Any = package_of("rl", "stable_baselines3.common.torch_layers").BaseFeaturesExtractor
 
     class NearAndFar(base):
         def __init__(self, space: spaces.Box) -> None:
@@ -94,7 +89,7 @@ def make_student(algorithm: Dagger, flat: Flat) -> Any:
     Raises:
         MissingDependency: torch is not installed.
     """
-    torch = package("torch")
+    torch = package_of("rl", "torch")
     nn = torch.nn
     space = flat.observation_space
     images = flat.layout.images

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents import Agent
+from rcs.agents.identity import Identity
 from rcs.envs.env import Env
 from rcs.envs.spaces import Action, Observation
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
-from rcs.rl.checkpoint import Checkpoint, find_checkpoint
+from rcs.extras import package_of
+from rcs.rl.checkpoint import POLICY, Checkpoint, find_checkpoint
 from rcs.rl.flat import Flat
 from rcs.rl.layout import FlatLayout
 from rcs.rl.networks import make_policy, mean_action
-from rcs.rl.packages import package
 
 _MEANING = ("robot", "end_effector", "control", "relative", "binary_gripper", "frequency")
 
@@ -30,15 +32,17 @@ class PolicyAgent(Agent):
     one row in their last bits, and an episode would end otherwise than alone.
     """
 
-    def __init__(self, mean: Callable[[Any], Any], layout: FlatLayout) -> None:
+    def __init__(self, mean: Callable[[Any], Any], layout: FlatLayout, weights: str | None = None) -> None:
         """Take a policy.
 
         Args:
             mean: Returns the flat actions for flat observations, both as tensors on the CPU with a leading axis.
             layout: The layout of its vectors.
+            weights: SHA-256 of the file of its weights; None while it is trained.
         """
         self._mean = mean
-        self._torch = package("torch")
+        self._weights = weights
+        self._torch = package_of("rl", "torch")
         self.flat = Flat(layout)
         """The maps between dictionaries and the policy's vectors."""
 
@@ -61,7 +65,7 @@ class PolicyAgent(Agent):
             _require_alike(checkpoint, env)
         policy = make_policy(checkpoint.training.algorithm, Flat(checkpoint.layout))
         policy.load_state_dict(checkpoint.policy())
-        return cls(mean_action(policy), checkpoint.layout)
+        return cls(mean_action(policy), checkpoint.layout, checkpoint.files[POLICY])
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Check that the environment has what the policy observes.
@@ -94,12 +98,45 @@ class PolicyAgent(Agent):
         finally:
             self._torch.set_num_threads(before)
 
+    @property
+    def weights(self) -> str | None:
+        """SHA-256 of the file of the weights."""
+        return self._weights
+
     def _row(self, flat: Any) -> NDArray[np.float32]:
         torch = self._torch
         with torch.inference_mode():
             if isinstance(flat, dict):
                 return self._mean({name: torch.tensor(rows[None]) for name, rows in flat.items()}).numpy()[0]
             return self._mean(torch.from_numpy(flat[None])).numpy()[0]
+
+
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """The policy at a path. Called with an environment, it makes an agent."""
+
+    path: str
+    """A checkpoint's folder, or that of a run, of which the best checkpoint is taken."""
+
+    def identify(self) -> Identity:
+        """Return run and steps as the name, such as `pick@40000`, and the hash of the weights.
+
+        Raises:
+            InvalidSetup: There is no checkpoint, or another version of this program wrote it.
+            CorruptCheckpoint: It is damaged.
+        """
+        checkpoint = find_checkpoint(self.path)
+        run = checkpoint.path.resolve().parent.parent.name
+        return Identity(
+            name=f"{run}@{checkpoint.steps}",
+            weights=checkpoint.files[POLICY],
+            trained=checkpoint.steps,
+            place=str(checkpoint.path),
+        )
+
+    def __call__(self, env: Env) -> PolicyAgent:
+        """Return an agent; raises as `PolicyAgent.load` does."""
+        return PolicyAgent.load(self.path, env)
 
 
 def _require_alike(checkpoint: Checkpoint, env: Env | VecEnv) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
 from rcs.errors import UnknownName
-from rcs.rl.algorithms import ALGORITHMS, AlgorithmName, Bc, Dagger, Ppo, Sac
-from rcs.rl.training import Training
+from rcs.rl.training import AlgorithmName, Dagger, Ppo, Training
 
 RATE = 10.0
 """Decisions per second [Hz]. Nearly all that a step costs is physics, and from the same simulated time less was learned
@@ -78,7 +78,6 @@ RECIPES: dict[tuple[str, AlgorithmName], Training] = {
     ("PickCuboid", "ppo"): _ppo("PickCuboid", seconds=6.0, steps=500_000),
     ("Push", "ppo"): _ppo("Push", seconds=8.0, steps=1_000_000),
     ("Place", "ppo"): _ppo("Place", seconds=9.0, steps=1_500_000),
-    ("PickCuboid", "sac"): Training(setup=_setup("PickCuboid", 6.0), copies=8, steps=200_000, algorithm=Sac()),
     ("PickCuboid", "dagger"): Training(setup=_SEEN, copies=32, steps=20_480, algorithm=Dagger()),
     ("Place", "dagger"): Training(
         setup=replace(_SEEN, task="Place", cameras=(), observe=("privileged", "contacts"), max_episode_steps=90),
@@ -86,7 +85,6 @@ RECIPES: dict[tuple[str, AlgorithmName], Training] = {
         steps=20_480,
         algorithm=Dagger(teacher="PlaceTeacher", gradient_steps=300),
     ),
-    ("PickCuboid", "bc"): Training(setup=_SEEN, copies=32, steps=20_480, algorithm=Bc()),
 }
 """Recipes by task and algorithm. Nothing in them depends on the robot; cameras are those of the FR3's lab."""
 
@@ -102,8 +100,8 @@ def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[st
     Raises:
         UnknownName: There is no such algorithm.
     """
-    if algorithm not in ALGORITHMS:
-        raise UnknownName("algorithm", str(algorithm), ALGORITHMS)
+    if algorithm not in get_args(AlgorithmName):
+        raise UnknownName("algorithm", str(algorithm), get_args(AlgorithmName))
     recipe = RECIPES.get((task, algorithm), RECIPES["PickCuboid", algorithm])
     setup = replace(recipe.setup, task=task)
     if cameras and isinstance(recipe.algorithm, Dagger):
@@ -112,6 +110,4 @@ def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[st
         setup = replace(setup, cameras=Cameras(names=cameras, image_size=84, pixels=True), observe=())
         setup = replace(setup, control="joints", layers=())
         recipe = replace(recipe, steps=4 * recipe.steps)
-        if isinstance(recipe.algorithm, Sac):  # two frames of 84 px and those of the next step are 85 kB
-            recipe = replace(recipe, algorithm=replace(recipe.algorithm, buffer_size=20_000))
     return replace(recipe, setup=setup)

@@ -7,15 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rcs_data.durable import disk_errors, write_file
-from rcs_data.verdicts import wilson_interval
+from rcs_data.files.durable import disk_errors, write_file
+from rcs_data.read.verdicts import wilson_interval
 from rcs_data.view.charts import CHARTS_SCRIPT, Series, chart
 from rcs_data.view.html import Html, element, figure, film, header, page, script, table, web
 
 from rcs.errors import CorruptCheckpoint
-from rcs.rl.checkpoint import Checkpoint, best_of, whole_checkpoints
+from rcs.rl.checkpoint import VIDEOS, Checkpoint, best_of, read_training, whole_checkpoints
 from rcs.rl.metrics import EPISODES, JUDGED, LENGTH, RATE, REWARD, SPEED, SUCCESSES, Row, read_metrics
-from rcs.rl.run import VIDEOS, read_training
 from rcs.rl.training import Training
 
 REPORT = "report.html"
@@ -25,9 +24,6 @@ _TRAINING = {
     "rollout/ep_len_mean": "Steps of training's last 100 episodes",
     "train/value_loss": "Loss of the value",
     "train/policy_gradient_loss": "Loss of the policy",
-    "train/critic_loss": "Loss of the critics",
-    "train/actor_loss": "Loss of the actor",
-    "train/ent_coef": "Weight of the entropy",
     "train/std": "Standard deviation of the actions",
     "train/approx_kl": "Kullback-Leibler divergence of an update",
     "train/clip_fraction": "Share of clipped ratios",

@@ -7,44 +7,50 @@ evaluation changes nothing that training depends on.
 
 from __future__ import annotations
 
+import fcntl
 import importlib.metadata
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from rcs_data.files.durable import disk_errors, sync_folder, write_all
+from rcs_data.files.lock import DatasetLock, try_lock
+
 from rcs.envs.observers.dataset_info import versions
 from rcs.envs.step.stack import for_all
-from rcs.envs.vector import VecEnv
-from rcs.errors import CorruptCheckpoint, InvalidSetup
-from rcs.rl.algorithms import Dagger
+from rcs.errors import CorruptCheckpoint, DatasetError, InvalidSetup
+from rcs.extras import package_of
 from rcs.rl.checkpoint import (
+    CHECKPOINTS,
     REPLAY,
+    VIDEOS,
     Checkpoint,
     Score,
     best_of,
     checkpoints_of,
     open_checkpoint,
+    read_training,
     remove_old,
     whole_checkpoints,
     write_checkpoint,
 )
-from rcs.rl.dagger import DaggerLearner, student_flat, teaching_setup
+from rcs.rl.dagger import DaggerLearner, teaching_setup
 from rcs.rl.evaluate import TrainingEvaluator, score_of
-from rcs.rl.flat import Flat
-from rcs.rl.learner import Learner
+from rcs.rl.learner import Learner, Sb3Learner
 from rcs.rl.metrics import EPISODES, JUDGED, LENGTH, RATE, REWARD, SPEED, SUCCESSES, Metrics
 from rcs.rl.networks import mean_action
-from rcs.rl.packages import package, require_device
 from rcs.rl.policy import PolicyAgent
-from rcs.rl.run import VIDEOS, agreed, lock_run, write_training
-from rcs.rl.sb3_learner import Sb3Learner
-from rcs.rl.training import Training
+from rcs.rl.training import Dagger, Training
 from rcs.rollout.collect import Attempt
 from rcs.setups.make import make_vec, resolve
 from rcs.tasks.free import Free
 
+_LOCK = ".training.lock"
+# These change neither the weights nor how they come about.
+_FREE = ("evaluate_every", "episodes", "checkpoint_every")
 _ROWS = 200
 """A whole training has about so many rows of figures."""
 
@@ -112,11 +118,72 @@ def require_trainable(training: Training) -> None:
         InvalidSetup: The setup names what is not there or does not fit, its task has no reward, or torch cannot use the
             device.
     """
-    for name in ("torch", "stable_baselines3", "tensorboard"):
-        package(name)
+    for name in ("torch", "stable_baselines3"):
+        package_of("rl", name)
     if isinstance(resolve(training.setup).task, Free):
         raise InvalidSetup("Free has no reward, so there is nothing to learn; train a task such as PickCuboid.")
-    require_device(training.device)
+    torch = package_of("rl", "torch")
+    try:
+        torch.zeros(1, device=training.device).item()
+    except (RuntimeError, AssertionError) as err:  # the second where torch was built without it
+        here = ", ".join(("cpu", *(other for other in ("cuda", "mps") if getattr(torch, other).is_available())))
+        raise InvalidSetup(
+            f"device is {training.device!r}, on which torch cannot compute here; valid is {here}."
+        ) from err
+
+
+@contextmanager
+def lock_run(run: Path) -> Generator[None]:
+    """Lock a folder against other processes that train; the lock ends with this process.
+
+    Raises:
+        DatasetError: Another process does, the folder has other things in it, or it cannot be written.
+    """
+    with disk_errors("train", run):
+        run.mkdir(parents=True, exist_ok=True)
+        if not (run / CHECKPOINTS).exists() and any(path.name != _LOCK for path in run.iterdir()):
+            raise DatasetError(f"{run} has other things in it than a training; choose another folder.")
+        fd = os.open(run / _LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        if not try_lock(fd, fcntl.LOCK_EX):
+            holder = os.read(fd, 32).decode(errors="replace").strip()
+            os.close(fd)
+            raise DatasetError(f"Another process, {holder}, trains in {run}. Wait for it to end, or stop it.")
+        lock = DatasetLock(fd)
+        os.ftruncate(fd, 0)
+        write_all(fd, f"{os.getpid()}\n".encode())
+        (run / CHECKPOINTS).mkdir(exist_ok=True)
+        sync_folder(run)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def agreed(run: Path, training: Training) -> Training:
+    """Return a training with the number of threads of the one that began in a run's folder, if it is the same.
+
+    The intervals of evaluations and checkpoints may change. So may the number of steps, unless the step size falls to
+    zero by the last one: the steps so far would have been different.
+
+    Raises:
+        InvalidSetup: Another training began there, or another version of this program.
+        CorruptCheckpoint: All checkpoints are damaged.
+    """
+    if checkpoints_of(run):
+        before = read_training(run)
+        if not training.torch_threads:
+            training = replace(training, torch_threads=before.torch_threads)
+        elif not before.torch_threads:
+            before = replace(before, torch_threads=training.torch_threads)
+        free = {name: getattr(training, name) for name in _FREE}
+        if before.algorithm.schedule == "constant" and before.algorithm == training.algorithm:
+            free["steps"] = training.steps
+        if different := replace(before, **free).difference(training):
+            raise InvalidSetup(
+                f"In {run} another training began: {'; '.join(different)}. Give the same options to continue it, or "
+                "another folder."
+            )
+    return training
 
 
 def cpus() -> int:
@@ -124,30 +191,25 @@ def cpus() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def copies_for(training: Training, *, threads: int = 0) -> VecEnv:
-    """Return the copies to learn in; where there is a teacher, they observe more than the policy.
+def learner_for(training: Training, *, threads: int = 0) -> Learner:
+    """Return the learner of a training, in copies of its environment that have begun an episode.
 
     Args:
-        training: What is learned.
+        training: What is learned; where there is a teacher, the copies observe more than the policy.
         threads: Threads for physics and drawing, 0 for one per CPU.
-    """
-    setup = teaching_setup(training.setup) if isinstance(training.algorithm, Dagger) else training.setup
-    return make_vec(setup, copies=training.copies, threads=threads, autoreset="SameStep")
-
-
-def flat_for(training: Training, envs: VecEnv) -> Flat:
-    """Return the maps of the policy that is learned in copies of an environment."""
-    return student_flat(envs, training.setup) if isinstance(training.algorithm, Dagger) else Flat(envs)
-
-
-def learner_for(training: Training, envs: VecEnv, flat: Flat) -> Learner:
-    """Return the learner of a training, and start an episode in every copy.
 
     Raises:
         MissingDependency: The extra `rl` is not installed.
         InvalidSetup: The algorithm does not fit the environment.
     """
-    return (DaggerLearner if isinstance(training.algorithm, Dagger) else Sb3Learner)(training, envs, flat)
+    is_taught = isinstance(training.algorithm, Dagger)
+    setup = teaching_setup(training.setup) if is_taught else training.setup
+    envs = make_vec(setup, copies=training.copies, threads=threads, autoreset="SameStep")
+    try:
+        return (DaggerLearner if is_taught else Sb3Learner)(training, envs)
+    except BaseException:
+        envs.close()
+        raise
 
 
 class _Run:
@@ -156,21 +218,18 @@ class _Run:
     def __init__(self, run: Path, training: Training, progress: Progress, threads: int, videos: bool) -> None:
         self._run, self._progress, self._threads, self._videos = run, progress, threads, videos
         progress.total = training.steps
-        self._envs = copies_for(training, threads=threads)
+        if not training.torch_threads:
+            # Networks for states are so small that more threads are slower; convolutions use all of them.
+            training = replace(training, torch_threads=cpus() if training.setup.cameras else 1)
+        self._training = training
+        package_of("rl", "torch").set_num_threads(training.torch_threads)
         self._evaluator: TrainingEvaluator | None = None
+        self._learner = learner = learner_for(training, threads=threads)
+        self._agent = PolicyAgent(mean_action(learner.policy), learner.flat.layout)
         try:
-            flat = flat_for(training, self._envs)
-            if not training.torch_threads:
-                # Networks for states are so small that more threads are slower; convolutions use all of them.
-                training = replace(training, torch_threads=cpus() if flat.layout.images else 1)
-            self._training = training
-            package("torch").set_num_threads(training.torch_threads)
-            self._learner = learner_for(training, self._envs, flat)
-            self._agent = PolicyAgent(mean_action(self._learner.policy), flat.layout)
             self._last = self._restore()
-            write_training(run, training)  # only now: a refused training leaves the folder to the next one
         except BaseException:
-            self._envs.close()
+            learner.envs.close()
             raise
         self._noted, self._learning, self._made = self._learner.steps, 0.0, 0
         self._started = time.perf_counter() - (self._last.seconds if self._last is not None else 0.0)
@@ -227,7 +286,7 @@ class _Run:
             self._update("done" if learner.is_done else "interrupted")
             yield progress
         finally:
-            for_all([self._envs.close, *([] if self._evaluator is None else [self._evaluator.close])])
+            for_all([learner.envs.close, *([] if self._evaluator is None else [self._evaluator.close])])
 
     def _advance(self) -> None:
         """Make an update, and write its figures now and then."""

@@ -4,16 +4,97 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 
-from rcs_data.record import Meta, Natural, Record, Whole
+from rcs_data.options import Meta, Natural, Positive, Record, Share, Whole
 
 from rcs.envs.setup import Setup
-from rcs.errors import CorruptCheckpoint, InvalidSetup, UnknownName
-from rcs.rl.algorithms import ALGORITHMS, Algorithm, Sac
+from rcs.errors import InvalidSetup
 from rcs.rollout.recorded_setup import require_trusted
 
-VERSION = 2
+AlgorithmName = Literal["ppo", "dagger"]
+Schedule = Literal["constant", "linear"]
+Activation = Literal["tanh", "relu"]
+
+
+class Ppo(Record):
+    """Proximal policy optimisation (Schulman et al. 2017) of Stable-Baselines3, with its names."""
+
+    n_steps: Whole = 64
+    """Steps of every copy between two updates."""
+    batch_size: Whole = 1024
+    """Steps per gradient step; fewer where `copies * n_steps` is no multiple of it, so that all have as many."""
+    n_epochs: Whole = 8
+    """Passes of an update through its steps."""
+    learning_rate: Positive = 3e-4
+    """Step size of Adam at the start."""
+    schedule: Schedule = "linear"
+    """Keep the step size, or let it fall to zero by the last step."""
+    gae_lambda: Share = 0.95
+    """From 0, the value of the next state, to 1, the whole return (Schulman et al. 2016)."""
+    clip_range: Positive = 0.2
+    """Range around 1 in which the ratio of new to old probabilities counts."""
+    ent_coef: float = 0.0
+    """Weight of the entropy; more explores for longer."""
+    vf_coef: float = 0.5
+    """Weight of the loss of the value."""
+    max_grad_norm: Positive = 0.5
+    """Longer gradients are shortened to this length."""
+    target_kl: Positive | None = 0.1
+    """An update ends early beyond this Kullback-Leibler divergence; None for never."""
+    log_std_init: float = 0.0
+    """Logarithm of the actions' standard deviation at the start, in units of the flat action, -1 … 1."""
+    network: tuple[Whole, ...] = (256, 256)
+    """Neurons of the hidden layers, of the policy and of the value each."""
+    activation: Activation = "tanh"
+    """Activation of the hidden layers."""
+    near_and_far: bool = False
+    """Show the network every number twice, coarsely and finely: it finds sooner both the way to an object and how to
+    meet it to the millimetre. Only without images."""
+    reward_scale: Positive = 1.0
+    """Factor on the rewards that the learner sees: returns of about 1 are learned best."""
+    name: Literal["ppo"] = "ppo"
+    """Its name, by which files know it."""
+
+
+class Dagger(Record):
+    """Dataset aggregation (Ross et al. 2011): a student learns by regression what a teacher would do in its place.
+
+    The teacher sees everything, with `privileged` and `contacts`; the student sees what the setup observes.
+    """
+
+    teacher: str = "PickTeacher"
+    """The teacher: an agent without memory, by its name or as `module:Class`, or the folder of a checkpoint."""
+    fade: Annotated[float, Meta(ge=0, le=1)] | None = 0.15
+    """Over this share of all steps, the share of episodes in which the teacher acts falls from 1 to 0. With None it
+    acts in all: behaviour cloning, in which the student never gets into states of its own."""
+    n_steps: Whole = 16
+    """Steps of every copy between two updates."""
+    warm_up: Whole = 2_048
+    """Steps before the first update, of all copies together; mean and spread of all numbers are those of these
+    steps."""
+    batch_size: Whole = 128
+    """Steps per gradient step, from all that were seen."""
+    gradient_steps: Whole = 100
+    """Gradient steps of an update."""
+    learning_rate: Positive = 1e-3
+    """Step size of Adam; from the middle of the training on it falls to zero as a cosine."""
+    channels: tuple[Whole, Whole, Whole] = (8, 16, 32)
+    """Channels of the three convolutions of each camera."""
+    network: tuple[Whole, ...] = (256, 256)
+    """Neurons of the hidden layers."""
+    name: Literal["dagger"] = "dagger"
+    """Its name, by which files know it."""
+
+    schedule: ClassVar[Schedule] = "linear"
+    """The step size falls to zero by the last step, though not in a line."""
+
+
+Algorithm = Ppo | Dagger
+"""An algorithm with its hyperparameters. The discount is that of the setup, for which the reward is made."""
+
+
+VERSION = 3
 """Raised when what is stored comes to mean something else."""
 
 # Each kind of episode has its own range of seeds, so that none is seen by two of them.
@@ -23,7 +104,25 @@ _MOST_COPIES = 1 << 20
 _MOST_SEEDS = 1 << 40
 
 
-class Training(Record):
+class Course(Record):
+    """The course of a training, whatever is learned."""
+
+    seed: Annotated[int, Meta(ge=0, lt=_MOST_SEEDS)] = 0
+    """Seed of the weights, the episodes and the exploration."""
+    evaluate_every: Natural = 0
+    """Steps between two evaluations; 0 for a twentieth of all."""
+    episodes: Natural = 50
+    """Episodes of an evaluation, none of which training sees; 0 for no evaluations."""
+    checkpoint_every: Natural = 0
+    """Steps between two checkpoints; 0 for one at every evaluation. Every evaluation has one."""
+    device: str = "cpu"
+    """Device of the networks, as torch names it: `cpu`, `cuda`."""
+    torch_threads: Natural = 0
+    """Threads of torch on the CPU; 0 for one, or for one per CPU with cameras. Sums of another number differ in their
+    last bits."""
+
+
+class Training(Course):
     """A training. The same record gives the same weights, bit for bit, on the same machine.
 
     Example:
@@ -41,22 +140,9 @@ class Training(Record):
     """Environment steps of the whole training, of all copies together."""
     algorithm: Algorithm
     """The algorithm that learns, with its hyperparameters."""
-    seed: Annotated[int, Meta(ge=0, lt=_MOST_SEEDS)] = 0
-    """Seed of the weights, the episodes and the exploration."""
-    evaluate_every: Natural = 0
-    """Steps between two evaluations; 0 for a twentieth of all."""
-    episodes: Natural = 50
-    """Episodes of an evaluation; 0 for no evaluations."""
     evaluation_steps: Natural = 0
     """An episode of an evaluation is truncated after this many steps; 0 for as many as in training. Short episodes
     teach sooner, for they begin more often, and a policy may take longer where it is judged."""
-    checkpoint_every: Natural = 0
-    """Steps between two checkpoints; 0 for one at every evaluation. Every evaluation has one."""
-    device: str = "cpu"
-    """Device of the networks, as torch names it: `cpu`, `cuda`."""
-    torch_threads: Natural = 0
-    """Threads of torch on the CPU; 0 for one, or for one per CPU with cameras. Sums of another number differ in their
-    last bits."""
 
     def __post_init__(self) -> None:
         """Check every number.
@@ -67,8 +153,6 @@ class Training(Record):
         super().__post_init__()
         if self.setup.stepping == "realtime":
             raise InvalidSetup("stepping is 'realtime'; training has no wall clock: use 'async'.")
-        if isinstance(self.algorithm, Sac) and self.algorithm.buffer_size < self.copies:
-            raise InvalidSetup(f"buffer_size is {self.algorithm.buffer_size}; it must hold a step of each copy.")
 
     def on(self, robot: str, end_effector: str | None = None) -> Training:
         """Return the training of another robot, with its usual end effector or another one."""
@@ -102,11 +186,6 @@ class Training(Record):
         """
         return _SELECTION_SEEDS + self.seed * _MOST_COPIES
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the record as JSON values."""
-        values = {**super().to_json(), "setup": self.setup.to_json()}
-        return {**values, "algorithm": {"name": self.algorithm.name, **self.algorithm.to_json()}}
-
     @classmethod
     def from_json(cls, values: Mapping[str, Any], *, trust: Collection[str] = ()) -> Training:
         """Return the record that `to_json` wrote.
@@ -116,22 +195,11 @@ class Training(Record):
             trust: Modules that may be imported because the setup names a class of theirs.
 
         Raises:
-            CorruptCheckpoint: Something is missing.
-            InvalidSetup: A field is unknown or out of range, or a class of a module is named that is neither imported
-                nor trusted.
-            UnknownName: There is no such algorithm.
+            InvalidSetup: A field is missing, unknown or out of range, or a class of a module is named that is neither
+                imported nor trusted.
         """
-        try:
-            given = dict(values)
-            setup, algorithm = dict(given["setup"]), dict(given["algorithm"])
-            name = algorithm.pop("name")
-        except (KeyError, TypeError, ValueError) as err:
-            raise CorruptCheckpoint(f"The record of a training lacks something: {type(err).__name__}: {err}.") from err
-        if name not in ALGORITHMS:
-            raise UnknownName("algorithm", str(name), ALGORITHMS)
-        require_trusted(setup, "The setup of the training", trust)
-        own = {"setup": Setup.from_json(setup), "algorithm": ALGORITHMS[name].from_json(algorithm)}
-        return super().from_json({**given, **own})
+        require_trusted(values.get("setup"), "The setup of the training", trust)
+        return super().from_json(values)
 
     def difference(self, other: Training) -> list[str]:
         """Return in words where another record differs, a line each; threads of torch that are 0 agree with any.

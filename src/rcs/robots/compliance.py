@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from rcs_data.record import NotNegative, Positive, Record, converted
+from rcs_data.options import NotNegative, Positive, Record, converted
 
 from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription

@@ -1,4 +1,4 @@
-"""Descriptions of arms, grippers, hands and cameras: frozen figures, and an MJCF file that agrees with them.
+"""Descriptions of arms, grippers and hands: frozen figures, and an MJCF file that agrees with them.
 
 Every description names one MJCF file whose elements have plain names (`joint1`, `flange`, `tcp`). A scene attaches
 these files to each other with prefixes; names here are without prefixes.
@@ -11,22 +11,18 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from rcs_data.record import Meta, NotNegative, Positive, Record, Share
+from numpy.typing import ArrayLike, NDArray
+from rcs_data.options import INFINITE, Meta, NotNegative, Positive, Record, Share
 
 from rcs._core import ArmLimits, MotionLimits
 from rcs.errors import InvalidSetup
-from rcs.robots.camera_mode import ResolutionMode, choose_rate, find_mode
-from rcs.robots.collision_limits import CollisionLimits
-from rcs.robots.menagerie import MenagerieBody, MenagerieVisuals
 from rcs.robots.mount import Mount
 
 __all__ = [
     "ArmDescription",
-    "CameraDescription",
     "CollisionLimits",
     "Description",
     "GripperDescription",
@@ -34,8 +30,63 @@ __all__ = [
     "MenagerieBody",
     "MenagerieVisuals",
     "Mount",
-    "ResolutionMode",
 ]
+
+Limit = Annotated[float, Meta(gt=0), INFINITE]
+Loads = Literal["outer", "drive"]
+"""Torques that an arm watches at its joints: those from outside, or all that its drives exert."""
+
+
+class CollisionLimits(Record):
+    """Limits of the forces on an arm. An arm that exceeds one goes into its fault state.
+
+    What presses on an arm from outside is felt through its observer. A momentum observer, as arms with known dynamics
+    have, gives the outer torques through a first-order filter (De Luca and Mattone 2005, Haddadin et al. 2017).
+    """
+
+    joint_torque: tuple[Limit, ...]
+    """Largest torque at each joint [Nm]; infinite for none."""
+    loads: Loads = "outer"
+    """The torques that are compared with them."""
+    force: Limit = math.inf
+    """Largest outer force along each axis of the base [N]."""
+    moment: Limit = math.inf
+    """Largest outer moment about the TCP along each axis of the base [Nm]."""
+    time_constant: NotNegative = 0.0
+    """Time constant of the observer [s]; 0 for none."""
+    duration: NotNegative = 0.0
+    """How long a limit must be exceeded [s]."""
+
+
+class MenagerieBody(Record):
+    """The source of one body's detailed visuals."""
+
+    body: str
+    """Body of the built-in model whose visual geoms are replaced."""
+    source: str
+    """Body of the collection's model that carries the meshes."""
+    source_in_body: Mount = Mount()
+    """Pose of the source's body frame in the frame of the built-in body."""
+
+
+class MenagerieVisuals(Record):
+    """The model of `mujoco-menagerie` with detailed meshes of a robot."""
+
+    model: str
+    """Name of the model in the collection, such as `franka_fr3`."""
+    entry: str
+    """Entry point of the model: its XML file without ending."""
+    bodies: tuple[MenagerieBody, ...]
+    """Where the meshes go. A body may occur more than once; others keep their primitives."""
+
+    @staticmethod
+    def of(model: str, entry: str, bodies: Mapping[str, str]) -> MenagerieVisuals:
+        """Return visuals whose body frames agree; `bodies` maps built-in bodies to their sources."""
+        return MenagerieVisuals(
+            model=model,
+            entry=entry,
+            bodies=tuple(MenagerieBody(body=body, source=source) for body, source in bodies.items()),
+        )
 
 
 class Description(Record):
@@ -261,6 +312,16 @@ class GripperDescription(Description):
         if self.grasp_force > self.max_force:
             raise InvalidSetup(f"{self.name}: grasp_force {self.grasp_force} N is above max_force {self.max_force} N.")
 
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """All actuators: the one."""
+        return (self.actuator,)
+
+    def joints_of(self, opening: ArrayLike) -> NDArray[np.float64]:
+        """Return the positions of the finger joints [m or rad], (..., n), at an opening, 0 … 1, (..., 1)."""
+        closed, opened = np.array(self.joint_closed), np.array(self.joint_open)
+        return closed + np.asarray(opening) * (opened - closed)
+
 
 class HandDescription(Description):
     """One hand with individually driven joints; targets are normalised to the joints' ranges."""
@@ -303,96 +364,17 @@ class HandDescription(Description):
             if len(targets) != dof:
                 raise InvalidSetup(f"{self.name}: grasp {grasp!r} has {len(targets)} numbers; valid are {dof}.")
 
+    def joints_of(self, normalised: ArrayLike) -> NDArray[np.float64]:
+        """Return joint positions [rad] of normalised ones, 0 … 1, (..., n)."""
+        lower, upper = np.array(self.joint_lower), np.array(self.joint_upper)
+        return lower + np.asarray(normalised) * (upper - lower)
 
-class CameraDescription(Description):
-    """One colour camera, with or without depth; setups decide where it is mounted.
+    @property
+    def joint_open(self) -> tuple[float, ...]:
+        """Joint positions before a grasp [rad]."""
+        return tuple(self.joints_of(self.open_pose).tolist())
 
-    The frame of the base body is the optical frame of the colour sensor: x right, y down, z forward (OpenCV axes). A
-    calibrated pose is therefore the pose of the body.
-    """
-
-    camera: str
-    """Name of the camera element."""
-    mount_hole_in_optical: Mount
-    """Pose of the tripod hole in the optical frame; its x axis points along the view, its z axis into the housing."""
-    modes: tuple[ResolutionMode, ...]
-    """Colour formats with their frame rates."""
-    fovy: Annotated[float, Meta(gt=0, lt=math.pi)]
-    """Vertical field of view of the colour image [rad], at the native aspect ratio."""
-    native_aspect: Positive
-    """Width over height of the sensor's own format."""
-    has_depth: bool
-    """Whether the camera measures depth."""
-    depth_range: tuple[float, float]
-    """Nearest and farthest depth with useful accuracy [m]; (0, 0) without depth."""
-    min_depth: tuple[tuple[int, int, float], ...]
-    """Nearest depth by depth format: width [px], height [px], depth [m]."""
-    stereo_baseline: float = 0.05
-    """Distance between the two eyes of a depth camera [m]; depth noise grows as depth squared over it."""
-    stereo_fovx: float = 0.0
-    """Horizontal field of view of the eyes [rad]; what the right one does not see has no depth. 0 if it is unknown."""
-    longest_exposure: NotNegative = 0.0
-    """Longest exposure for which the camera slows down [s]; if it exceeds the frame period, intervals vary between the
-    two. 0 for a camera that keeps its rate."""
-
-    def __post_init__(self) -> None:
-        """Check ranges.
-
-        Raises:
-            InvalidSetup: There is no mode or a name is used twice, the field of view is outside of 0 .. pi, an exposure
-                is negative, or the depth range does not ascend.
-        """
-        super().__post_init__()
-        if not self.modes or len({mode.name for mode in self.modes}) != len(self.modes):
-            raise InvalidSetup(f"{self.name}: modes needs at least one, all of different sizes, got {self.modes}.")
-        near, far = self.depth_range
-        if self.has_depth and not 0.0 < near < far:
-            raise InvalidSetup(f"{self.name}: depth_range {self.depth_range} m must ascend from above 0.")
-
-    def mode(self, name: str) -> ResolutionMode:
-        """Return the mode with a name such as `848x480`.
-
-        Raises:
-            UnknownName: There is no such mode; the message lists all.
-        """
-        return find_mode(self.name, self.modes, name)
-
-    def frame_rate(self, size: tuple[int, int], wanted: float | None = None) -> int:
-        """Return the frame rate for a size [frames/s].
-
-        Args:
-            size: Width and height [px]; cropped from a larger mode if it is not one.
-            wanted: The wanted rate [frames/s]; None for the highest.
-
-        Raises:
-            InvalidSetup: The camera does not offer it; the message lists all modes.
-        """
-        return choose_rate(self.name, self.modes, size, wanted)
-
-    def intrinsics(self, width: int, height: int) -> NDArray[np.float64]:
-        """Return the camera matrix of an ideal image of this camera, without distortion.
-
-        Pixels are square and the principal point is the image's centre. Every format shows the sensor's full height;
-        narrower ones lose the sides. This matches MuJoCo for the same `fovy`, and the camera's own 16:9 and 4:3 colour
-        formats.
-
-        Args:
-            width: Width of the image [px].
-            height: Height of the image [px].
-
-        Returns:
-            Camera matrix [px], shape (3, 3); the centre of the top left pixel is (0, 0), as in OpenCV.
-
-        Raises:
-            InvalidSetup: A size is not positive, or the image is wider than the sensor.
-        """
-        if width <= 0 or height <= 0:
-            raise InvalidSetup(f"{self.name}: image size is {width} x {height} px; both must be positive.")
-        # One pixel of slack: 854 x 480 and other rounded 16:9 formats are not wider than the sensor.
-        if width > self.native_aspect * height + 1.0:
-            widest = int(self.native_aspect * height)
-            raise InvalidSetup(
-                f"{self.name}: {width} x {height} px is wider than the sensor; {height} px of height allow {widest} px."
-            )
-        focal = 0.5 * height / math.tan(0.5 * self.fovy)
-        return np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
+    @property
+    def ctrl_open(self) -> tuple[float, ...]:
+        """Control values before a grasp: the joint positions."""
+        return self.joint_open

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from rcs_data.record import Positive, Record, Share
+from rcs_data.options import Positive, Record, Share
 
 from rcs.errors import InvalidSetup
 from rcs.spatial import Pose
@@ -16,18 +16,20 @@ class Mount(Record):
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of the part in the parent's frame [m]."""
     quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    """Rotation from the part's frame to the parent's frame, xyzw, unit norm."""
+    """Rotation from the part's frame to the parent's frame, xyzw; brought to unit norm."""
 
     def __post_init__(self) -> None:
         """Check the fields.
 
         Raises:
-            InvalidSetup: A length is wrong, a number is not finite, or the quaternion does not have unit norm.
+            InvalidSetup: A length is wrong, a number is not finite, or the quaternion's norm is more than 1e-3 off 1.
         """
         super().__post_init__()
         norm = math.hypot(*self.quaternion)
-        if abs(norm - 1.0) > 1e-9:
+        if abs(norm - 1.0) > 1e-3:
             raise InvalidSetup(f"quaternion has norm {norm!r}; a rotation needs norm 1 (xyzw).")
+        if abs(norm - 1.0) > 1e-9:  # written with few digits
+            object.__setattr__(self, "quaternion", tuple(value / norm for value in self.quaternion))
 
     @staticmethod
     def of(pose: Pose) -> Mount:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any
+import time
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from rcs.agents import Agent
-from rcs.envs.step.judge import DIVERGED, FAULT
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Attempt
-from rcs.rollout.episode import OPEN, EpisodeResult
+from rcs.rollout.episode import EpisodeResult, is_open, stages_of, verdict
 
 
 def run_batch(
@@ -43,13 +41,16 @@ def run_batch(
     observation, info = envs.reset(seed=seeds)
     agent.reset(observation, info)
     steps, total = np.zeros(copies, np.int64), np.zeros(copies)
-    was_touched = np.zeros(copies, np.bool_)
+    was_touched, stages = np.zeros(copies, np.bool_), stages_of(info)
+    begun_at = np.full(copies, time.perf_counter())
     while any(one is not None for one in number):
         action = agent.act(observation, info)
         observation, reward, terminated, truncated, info = envs.step(action)
         steps += 1
         total += reward
-        was_touched |= np.asarray(info.get("is_touched", False)) & _is_open(action, copies)
+        was_touched |= np.asarray(info.get("is_touched", False)) & is_open(action, copies)
+        if (now := stages_of(info)) is not None:
+            stages = now if stages is None else np.maximum(stages, now)
         is_over = terminated | truncated
         if not is_over.any():
             continue
@@ -57,35 +58,23 @@ def run_batch(
         for copy in np.flatnonzero(is_over).tolist():
             ended = number[copy]
             if ended is not None:
-                success, failure = _verdict(info, copy, bool(was_touched[copy]), agent)
+                judged = None if "success" not in info else info["success"][copy]
+                success, failure = verdict(str(info["end"][copy]), judged, bool(was_touched[copy]), agent)
                 result = EpisodeResult(
                     seed=seeds[copy],
                     steps=int(steps[copy]),
                     success=success,
                     failure=failure,
                     reward=float(total[copy]),
+                    stages=None if stages is None else int(stages[copy]),
                 )
-                yield Attempt(number=ended, result=result)
+                seconds = time.perf_counter() - float(begun_at[copy])
+                yield Attempt(number=ended, result=result, weights=agent.weights, seconds=seconds)
             number[copy] = next(waiting, None)
             if (begun := number[copy]) is not None:
                 next_seeds[copy] = seeds[copy] = seed_of(begun)
+                begun_at[copy] = time.perf_counter()
         steps[is_over], total[is_over], was_touched[is_over] = 0, 0.0, False
+        if stages is not None:
+            stages[is_over] = 0
         observation, info = envs.reset(seed=next_seeds, options={"reset_mask": is_over})
-
-
-def _verdict(info: Mapping[str, Any], copy: int, was_touched: bool, agent: Agent) -> tuple[bool | None, str | None]:
-    """Return success and failure of a copy's episode, as `run_episode` tells them."""
-    end = str(info["end"][copy])
-    if end in (FAULT, DIVERGED):
-        return False, end
-    verdicts = info.get("success")
-    success = None if verdicts is None else bool(verdicts[copy])
-    return success, (agent.failure or ("collision" if was_touched else "timeout")) if success is False else None
-
-
-def _is_open(action: Mapping[str, Any], copies: int) -> NDArray[np.bool_]:
-    """Return in which copies every gripper was commanded to be open."""
-    parts = list(action.values()) if all(isinstance(value, Mapping) for value in action.values()) else [action]
-    if not all("gripper" in part for part in parts):
-        return np.zeros(copies, np.bool_)
-    return np.all([np.reshape(part["gripper"], (copies, -1)).min(-1) >= OPEN for part in parts], axis=0)

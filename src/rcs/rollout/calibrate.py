@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.calibration import CalibrationStrategy, HandEye, IsFree
+from rcs.calibration import CalibrationStrategy, IsFree
 from rcs.envs.env import Env
+from rcs.envs.planner_for import planner_for
 from rcs.envs.spaces import DISTORTION, FRAMES, INTRINSICS, JOINTS, RGB, Observation, join_robots, split_by_robot
 from rcs.errors import InvalidSetup, WrongOrder
 from rcs.setups.mounted_camera import MountedCamera
@@ -30,37 +31,14 @@ SETTLING = 0.5
 """Time that a real arm rests before a picture counts: it swings a little longer than its joints turn [s]."""
 LONGEST = 30.0
 """Time limit of a motion [s]."""
-
-
-def calibrate(
-    env: Env,
-    strategy: CalibrationStrategy,
-    camera: str,
-    *,
-    robot: str | None = None,
-    speed: float = 0.5,
-    is_free: IsFree | None = None,
-    confirm: Confirm | None = None,
-    on_look: OnLook | None = None,
-) -> HandEye:
-    """Calibrate a camera: `look_around`, and then solve.
-
-    Args:
-        env: An environment with absolute joint targets that observes the camera; it is reset.
-        strategy: Judges pictures and proposes joints.
-        camera: Name of the camera.
-        robot: Name of the robot that moves; None for the one that carries the camera, or for the first.
-        speed: Largest speed of a joint in real time [rad/s].
-        is_free: Returns whether the arm may go straight from joints to joints; None for anywhere.
-        confirm: Called before every motion; None to move without confirmation.
-        on_look: Called after every picture, with whether it is useful.
-
-    Raises:
-        InvalidSetup: The environment has other actions, or pictures or free joints do not suffice.
-        WrongOrder: The arm does not arrive, or the episode ends.
-    """
-    look_around(env, strategy, camera, robot=robot, speed=speed, is_free=is_free, confirm=confirm, on_look=on_look)
-    return strategy.solve()
+MARGIN = 0.01
+"""Least distance of the robot's shapes from all others [m]."""
+STEP, TURN = 0.002, 0.01
+"""Largest motion of any point and largest rotation between two checks near obstacles [m, rad]."""
+ROUNDING = 1e-5
+"""Largest decrease of the distance to obstacles near the start [m]."""
+LOOKS = 20
+"""Points of a path that starts near an obstacle at which to check whether it is still near."""
 
 
 def look_around(
@@ -74,9 +52,22 @@ def look_around(
     confirm: Confirm | None = None,
     on_look: OnLook | None = None,
 ) -> None:
-    """Show a strategy pictures from the joints that it asks for, until it needs no more.
+    """Show a strategy pictures from the joints that it asks for, until it needs no more; then it can solve.
 
-    If `confirm` returns False, the strategy proposes the next best pose. Arguments and errors are those of `calibrate`.
+    Args:
+        env: An environment with absolute joint targets that observes the camera; it is reset.
+        strategy: Judges pictures and proposes joints.
+        camera: Name of the camera.
+        robot: Name of the robot that moves; None for the one that carries the camera, or for the first.
+        speed: Largest speed of a joint in real time [rad/s].
+        is_free: Returns whether the arm may go straight from joints to joints; None for anywhere.
+        confirm: Called before every motion; if it returns False, the strategy proposes the next best pose. None to move
+            without confirmation.
+        on_look: Called after every picture, with whether it is useful.
+
+    Raises:
+        InvalidSetup: The environment has other actions, or pictures or free joints do not suffice.
+        WrongOrder: The arm does not arrive, or the episode ends.
     """
     tour = Tour(env, robot=robot or MountedCamera.of(env.setup, camera).robot.name, speed=speed)
 
@@ -209,3 +200,35 @@ class Tour:
         if terminated or truncated:
             why = f"{self._info.get('end')} {self._info.get('faults', '')}".rstrip()
             raise WrongOrder(f"The episode ended on the way: {why}")
+
+
+class FreePath:
+    """Checks paths of one arm; everything else stays where it is at the time.
+
+    The shapes are those that collide in the scene. A path that starts near something may lead away from it, but no
+    nearer; from where nothing is near any more, it keeps the margin.
+    """
+
+    def __init__(self, env: Env, robot: str) -> None:
+        """Use the scene of an environment.
+
+        Args:
+            env: A simulated environment of one copy.
+            robot: Name of the robot.
+        """
+        self._planner = planner_for(env, robot)
+
+    def __call__(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
+        """Return whether the arm may go straight from joints to joints [rad], (dof,) each."""
+        self._planner.look()
+        checker = self._planner.checker
+        nearest = checker.clearance(start, MARGIN).distance
+        if nearest >= MARGIN:
+            return checker.first_hit(start, end, STEP, TURN, MARGIN) is None
+        ways = start + np.linspace(0.0, 1.0, LOOKS + 1)[1:, None] * (end - start)
+        away = ways[checker.free_rows(ways, MARGIN)]
+        left = away[0] if len(away) else end
+        return (
+            checker.first_hit(start, left, STEP, TURN, nearest - ROUNDING) is None
+            and checker.first_hit(left, end, STEP, TURN, MARGIN if len(away) else nearest - ROUNDING) is None
+        )

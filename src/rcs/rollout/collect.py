@@ -1,7 +1,8 @@
 """Collects a dataset of scripted episodes, in one process, several, on the machines of a cluster, or on real robots.
 
 Episode i depends only on the seed of the collection and on i, so the number of workers, where they are, interruption
-and resumption do not change the data. On real robots, it is where the objects lie that depends on them.
+and resumption do not change the data. On real robots, it is where the objects lie that depends on them. Where the robot
+itself places the objects (`placed_by`), an episode begins where the one before has ended, up to millimetres.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from typing import Any
 
 import numpy as np
 from rcs_data import Dataset, DatasetInfo, DatasetWriter
-from rcs_data.feature import Colour
-from rcs_data.layout import EPISODES_FOLDER
+from rcs_data.files.feature import Colour
+from rcs_data.files.layout import EPISODES_FOLDER
 
 from rcs.agents import agent_for
 from rcs.devices import lookup
 from rcs.envs.env import Env
-from rcs.envs.observers.dataset_info import OBJECTS, dataset_info, require_recordable
+from rcs.envs.observers.dataset_info import dataset_info, require_recordable
 from rcs.envs.observers.record import recorder_of
 from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
@@ -31,13 +32,12 @@ from rcs.envs.step.approach import SPEED
 from rcs.envs.step.judge import FAULT
 from rcs.envs.step.stack import for_all
 from rcs.errors import InvalidSetup, RcsError
-from rcs.rollout.cluster import LOCAL
 from rcs.rollout.episode import EpisodeResult, randomisation_of, run_episode
-from rcs.rollout.operator import Operator, operator_of
+from rcs.rollout.placing import PLACED, PlacesInSimulation, is_placed_by_robot
 from rcs.rollout.pool import WorkerPool
-from rcs.rollout.ray_pool import ClusterUsage, RayPool
+from rcs.rollout.ray_pool import RayPool
 from rcs.rollout.real_episodes import RealEpisodes, has_real_arms
-from rcs.rollout.remote_files import FileWorker, SentAgent
+from rcs.rollout.supervisor import Supervisor, supervisor_of
 from rcs.setups.make import make
 
 _log = logging.getLogger(__name__)
@@ -50,36 +50,42 @@ _MOST_PER_EPISODE = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Collection:
+class Kept:
+    """Which episodes a dataset keeps, and how."""
+
+    episodes: int = 20
+    """Number of episodes in the finished dataset; only those with a verdict count."""
+    only_success: bool = False
+    """Keep successful episodes only, and try until there are enough."""
+    most_attempts: int | None = None
+    """Attempts after which `only_success` gives up with an error; by default 100 without a single success, and else 20
+    for each episode, and at least 100."""
+    colour: Colour = "jpeg"
+    """Encoding of colour frames. `lossless` takes as much space as `jpeg`, with sensor noise six times as much."""
+    jpeg_quality: int = 95
+    """JPEG quality of colour frames, 1 to 100."""
+    home_speed: float = SPEED
+    """Largest speed of a joint of real arms on their way home, as a share of its limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collection(Kept):
     """The recipe of a dataset."""
 
     setup: Setup
     out: Path
     """The dataset's folder."""
-    episodes: int
-    """Number of episodes in the finished dataset; only those judged by the task count."""
     seed: int = 0
     """Random seed; the same seed gives the same data."""
-    only_success: bool = False
-    """Keep successful episodes only, and try until there are enough."""
-    most_attempts: int | None = None
-    """Attempts after which `only_success` gives up with an error; None for 100 without a single success, and else 20
-    for each episode, and at least 100."""
     workers: int = 1
     """Processes; one works in this process. With `ray`, 0 is one per CPU of the cluster."""
     ray: str | None = None
-    """Address of a Ray cluster for the processes (`local` for one of this machine, `auto`, `host:port`); None for this
-    machine, without Ray. Ray transfers the episodes; other machines need not see `out`."""
-    colour: Colour = "jpeg"
-    """Encoding of colour frames."""
-    jpeg_quality: int = 95
-    """JPEG quality of colour frames, 1 to 100."""
+    """Address of a Ray cluster for the processes: `auto` for the one that this machine is a part of, or `host:port`;
+    None for this machine, without Ray. Ray transfers the episodes; other machines need not see `out`."""
     agent: Any = None
     """An agent's class or name, `module:Class`; None for the expert of the task."""
     hardware: Any = None
-    """The real devices, as in `rcs.make`; None for simulation alone. Real robots have one process, and an operator."""
-    home_speed: float = SPEED
-    """Largest speed of a joint of real arms on their way home, as a share of its limit."""
+    """The real devices, as in `rcs.make`; None for simulation alone. Real robots have one process, and a supervisor."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -87,7 +93,7 @@ class Collection:
         Raises:
             InvalidSetup: A number is not valid.
         """
-        fewest = 1 if self.ray in (None, LOCAL) else 0
+        fewest = 1 if self.ray is None else 0
         for name, least in (("episodes", 1), ("seed", 0), ("workers", fewest), ("most_attempts", 1)):
             value = getattr(self, name)
             if name == "most_attempts" and value is None:
@@ -100,6 +106,11 @@ class Collection:
                 f"{self.ray!r}. Use workers=1 and no ray with hardware."
             )
         require_recordable(self.setup)
+        if is_placed_by_robot(self.setup) and (self.workers != 1 or self.ray is not None):
+            raise InvalidSetup(
+                "placed_by is 'robot', so that an episode begins where the one before ended; workers is "
+                f"{self.workers} and ray is {self.ray!r}. Use workers=1 and no ray."
+            )
 
     def attempts_before_giving_up(self, kept: int) -> int:
         """Return after how many attempts a collection of successes alone gives up, when some episodes are kept."""
@@ -128,6 +139,14 @@ class Attempt:
 
     number: int
     result: EpisodeResult
+    weights: str | None = None
+    """SHA-256 of the weights that acted; None if there are none, or that is not known."""
+    is_lost: bool = False
+    """Whether the connection to the policy was lost in it."""
+    latencies: tuple[float, ...] = field(default=(), compare=False)
+    """How long each answer of a policy took [s]."""
+    seconds: float = field(default=0.0, compare=False)
+    """Duration by the clock [s]."""
 
 
 @dataclass
@@ -142,8 +161,6 @@ class Progress:
     """Attempts that a kill cut short and that are made again from the start."""
     attempts: list[Attempt] = field(default_factory=list[Attempt])
     """Attempts of this run, in the order of their ends."""
-    cluster: ClusterUsage | None = None
-    """The workers; None without a cluster."""
     is_interrupted: bool = False
     seconds: float = 0.0
     """Wall time of this run [s]."""
@@ -162,17 +179,19 @@ class Collector:
         collection: Collection,
         writer: DatasetWriter,
         env: Env | None = None,
-        operator: Operator | None = None,
+        supervisor: Supervisor | None = None,
     ) -> None:
-        """Make the environment and the expert; with real arms, there is an operator."""
+        """Make the environment and the expert; with real arms, there is a supervisor."""
         self._collection = collection
         self._env = env or make(collection.setup)
         self._writer = writer
-        self._recorder = Recorder(writer) if operator is None else recorder_of(self._env, writer)
+        self._recorder = Recorder(writer) if supervisor is None else recorder_of(self._env, writer)
         self._env.add_observer(self._recorder)
         self._agent = agent_for(self._env, collection.agent)
         speed = collection.home_speed
-        self._real = None if operator is None else RealEpisodes(self._env, self._agent, operator, speed=speed)
+        self._real = None if supervisor is None else RealEpisodes(self._env, self._agent, supervisor, speed=speed)
+        is_carried = self._real is None and is_placed_by_robot(collection.setup)
+        self._places = PlacesInSimulation(self._env) if is_carried else None
 
     def attempt(self, number: int) -> Attempt:
         """Make one attempt, and keep it if the collection wants it.
@@ -197,9 +216,17 @@ class Collector:
 
     def _attempt(self, number: int) -> Attempt:
         seed = self._collection.seed_of(number)
-        result = run_episode(self._env, self._agent, seed=seed) if self._real is None else self._real.run(seed)
+        if self._real is not None:
+            result, more = self._real.run(seed), self._real.outcome
+        elif self._places is not None:
+            options, placed = self._places.next(seed)
+            result = run_episode(self._env, self._agent, seed=seed, options=options)
+            self._places.is_held = result.success is True
+            more = {**randomisation_of(self._env), PLACED: placed}
+        else:
+            result = run_episode(self._env, self._agent, seed=seed)
+            more = randomisation_of(self._env)
         if result.success or not self._collection.only_success:
-            more = randomisation_of(self._env) if self._real is None else {OBJECTS: self._real.objects}
             self._recorder.finish(result.success, {"attempt": number, **result.outcome(), **more})
         else:
             self._recorder.discard()
@@ -207,11 +234,12 @@ class Collector:
 
     def close(self) -> None:
         """Close agent and environment."""
-        for_all([self._agent.close, *([] if self._real is None else [self._real.close]), self._env.close])
+        more = [one.close for one in (self._real, self._places) if one is not None]
+        for_all([self._agent.close, *more, self._env.close])
 
 
 def collect(
-    collection: Collection, progress: Progress, env: Env | None = None, operator: Operator | None = None
+    collection: Collection, progress: Progress, env: Env | None = None, supervisor: Supervisor | None = None
 ) -> Iterator[Attempt]:
     """Collect until the dataset is complete, yielding every attempt as it ends.
 
@@ -224,12 +252,12 @@ def collect(
         progress: Updated while it runs.
         env: An environment of the collection's setup to use in this process; None for a new one. It is closed at the
             end.
-        operator: Operator of real arms; None for the world of the virtual robot at their address, or the user at
+        supervisor: Supervisor of real arms; None for the world of the virtual robot at their address, or the user at
             the terminal.
 
     Raises:
         DeviceFault: A real device failed. The episode has no verdict, and is made again when the collection is resumed.
-        Refused: The operator does not agree that real arms go home.
+        Refused: The supervisor does not agree that real arms go home.
         DatasetError: The dataset cannot be written, is locked, or belongs to another setup.
         InvalidSetup: The setup is not valid.
         RcsError: Too many attempts were no success, a worker process died, or the cluster cannot be reached.
@@ -237,9 +265,9 @@ def collect(
     env = env or make(collection.setup, hardware=collection.hardware)
     try:
         if not has_real_arms(env):
-            operator = None
-        elif operator is None:
-            operator = operator_of(collection.setup, collection.hardware)
+            supervisor = None
+        elif supervisor is None:
+            supervisor = supervisor_of(collection.setup, collection.hardware)
         agent_for(env, collection.agent).close()
         info = dataset_info(env, colour=collection.colour, jpeg_quality=collection.jpeg_quality)
         # Two collections are the same only if they number and seed episodes alike.
@@ -253,7 +281,7 @@ def collect(
             numbers = _numbers(collection, progress, taken)
             try:
                 if collection.workers == 1 and collection.ray is None:
-                    yield from _collect_here(collection, writer, env, operator, numbers, progress)
+                    yield from _collect_here(collection, writer, env, supervisor, numbers, progress)
                 else:
                     env.close()
                     yield from _collect_in_pool(collection, writer, numbers, progress)
@@ -305,11 +333,11 @@ def _collect_here(
     collection: Collection,
     writer: DatasetWriter,
     env: Env,
-    operator: Operator | None,
+    supervisor: Supervisor | None,
     numbers: Iterator[int],
     progress: Progress,
 ) -> Iterator[Attempt]:
-    collector = Collector(collection, writer, env, operator)
+    collector = Collector(collection, writer, env, supervisor)
     try:
         for number in numbers:
             attempt = collector.attempt(number)
@@ -322,7 +350,7 @@ def _collect_here(
 def _collect_in_pool(
     collection: Collection, writer: DatasetWriter, numbers: Iterator[int], progress: Progress
 ) -> Iterator[Attempt]:
-    for attempt in _attempts(collection, writer, numbers, progress):
+    for attempt in _attempts(collection, writer, numbers):
         _count(attempt, collection, progress)
         yield attempt
     # Other workers had running attempts when the last one succeeded. Those with the lowest numbers stay, so that the
@@ -334,17 +362,13 @@ def _collect_in_pool(
         progress.kept = min(len(kept), collection.episodes)
 
 
-def _attempts(
-    collection: Collection, writer: DatasetWriter, numbers: Iterator[int], progress: Progress
-) -> Iterator[Attempt]:
+def _attempts(collection: Collection, writer: DatasetWriter, numbers: Iterator[int]) -> Iterator[Attempt]:
     if collection.ray is None:
         with WorkerPool(partial(_worker, collection), collection.workers) as pool:
             yield from pool.map(numbers)
         return
-    worker = partial(_remote_worker, collection, writer.info, SentAgent.of(collection.agent))
-    make = partial(FileWorker, worker, outbox=f"dataset/{EPISODES_FOLDER}")
-    with RayPool(make, collection.workers, collection.ray) as pool:
-        progress.cluster = pool.usage
+    make, outbox = partial(_remote_worker, collection, writer.info), f"dataset/{EPISODES_FOLDER}"
+    with RayPool(make, collection.workers, collection.ray, outbox=outbox, agent=collection.agent) as pool:
         for attempt, files in pool.map(numbers):
             episodes: dict[str, dict[str, memoryview]] = {}
             for path, data in files.items():
@@ -364,7 +388,6 @@ def _worker(collection: Collection) -> Collector:
     return Collector(collection, DatasetWriter.join(collection.out))
 
 
-def _remote_worker(collection: Collection, info: DatasetInfo, agent: SentAgent, folder: Path) -> Collector:
+def _remote_worker(collection: Collection, info: DatasetInfo, folder: Path, agent: Any) -> Collector:
     """Return a worker on another machine, which records into a dataset of its own."""
-    collection = replace(collection, agent=agent.unpack(folder / "agent"))
-    return Collector(collection, DatasetWriter.open(folder / "dataset", info))
+    return Collector(replace(collection, agent=agent), DatasetWriter.open(folder / "dataset", info))

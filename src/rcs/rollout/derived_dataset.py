@@ -1,27 +1,39 @@
-"""Makes a dataset from another one in simulation, episode by episode: whole, or not at all."""
+"""Makes a dataset from another one in simulation, episode by episode: whole, or not at all.
+
+Cameras have mass and housings that collide. The scene therefore keeps all recorded cameras, rendered or not.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+import zlib
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord
-from rcs_data.output import new_output
+from rcs_data.files.feature import Colour
+from rcs_data.files.output import new_output
 
 from rcs.agents import Agent
-from rcs.envs.assemble import compose
+from rcs.envs.assemble import assemble, compose
+from rcs.envs.env import Env
+from rcs.envs.episode_random import EpisodeRandom
+from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
+from rcs.envs.parts import Parts
+from rcs.envs.setup import Setup
+from rcs.envs.variation.randomiser import Randomiser
 from rcs.errors import InvalidSetup
-from rcs.rollout.episode import randomisation_of
+from rcs.rollout.episode import Step, play, randomisation_of
 from rcs.rollout.pool import WorkerPool
-from rcs.rollout.replay import Step, play
-from rcs.rollout.replay_scene import ReplayScene
+from rcs.rollout.recorded_setup import RECORDED, VISUAL
 from rcs.setups.make import resolve
+from rcs.sim.randomisation import Randomisation
 from rcs.sim.state_transfer import StateTransfer
+from rcs.sim.world import Copies
 
 SOURCE = "source"
 """Key of an outcome: the episode that this one was made from."""
@@ -38,8 +50,68 @@ class Derivation:
     """The kind of replay, stored in outcomes."""
     source: Path
     """Folder of the recorded dataset."""
-    scene: ReplayScene
+    physics: Setup
+    """The setup of the recorded states."""
+    setup: Setup
+    """The setup of the new frames."""
+    looks_seed: int | None = None
+    """Seed of the appearance of episodes; None for the recorded one."""
     make: MakeEpisode
+
+    @property
+    def whole(self) -> Setup:
+        """The setup of the new frames, with all cameras of the scene."""
+        cameras = self.setup.cameras
+        names = tuple(dict.fromkeys((*self.physics.cameras, *cameras)))
+        return replace(
+            self.setup, cameras=replace(cameras, names=names, mounts={**self.physics.cameras.mounts, **cameras.mounts})
+        )
+
+    def open(self) -> tuple[Env, NewLooks | None]:
+        """Make the environment, and the randomiser of its appearance; None if that is as recorded."""
+        parts = resolve(self.whole)
+        env = assemble(parts, drawn=self.setup.cameras.names)
+        if self.looks_seed is None:
+            return env, None
+        looks = NewLooks(env, parts, self.looks_seed)
+        env.simulation.randomisers.append(looks)
+        return env, looks
+
+    def info(self, env: Env, recorded: DatasetInfo, *, has_recorded_states: bool = False) -> DatasetInfo:
+        """Return the info of the new dataset.
+
+        Args:
+            env: The environment.
+            recorded: The info of the recorded dataset.
+            has_recorded_states: Whether its states are the recorded ones, not new ones of this scene.
+        """
+        colours: list[Colour] = [feature.colour for feature in recorded.features if feature.colour is not None]
+        colour: Colour = "lossless" if "lossless" in colours else (*colours, "jpeg")[0]
+        info = dataset_info(env, colour=colour, jpeg_quality=recorded.jpeg_quality)
+        setup, physics = self.setup.to_json(), self.physics if has_recorded_states else self.whole
+        if physics != self.setup:
+            setup[RECORDED] = physics.to_json()
+        instruction = recorded.instruction or info.instruction
+        return replace(info, setup=setup, instruction=instruction, jpeg_subsampling=recorded.jpeg_subsampling)
+
+
+class NewLooks(Randomiser):
+    """Draws the appearance of episodes from its own seed and the episodes' ids, whatever the seed of the reset."""
+
+    def __init__(self, env: Env, parts: Parts, seed: int) -> None:
+        """Take the nominal appearance of an environment that has not been reset yet."""
+        ranges = parts.setup.randomisation or Randomisation.off()
+        visual = Randomisation.off(**{name: getattr(ranges, name) for name in VISUAL})
+        super().__init__(
+            env.simulation.world, visual, objects=parts.task.objects(), robots=parts.robots, cameras=parts.cameras
+        )
+        self._seed = seed
+        self.episode_id = ""
+        """Id of the next episode."""
+
+    def begin(self, draws: EpisodeRandom, copies: Copies = None) -> None:
+        """Draw and write the appearance of an episode."""
+        super().begin(EpisodeRandom(self._seed, zlib.crc32(self.episode_id.encode())), copies)
 
 
 class EpisodeMaker:
@@ -48,28 +120,27 @@ class EpisodeMaker:
     def __init__(self, recipe: Derivation, out: Path) -> None:
         """Open the recorded dataset, join the new one, and make the environment."""
         self.recipe = recipe
-        self.scene = recipe.scene
         self.dataset = Dataset.open(recipe.source)
         self.writer = DatasetWriter.join(out)
-        self.env, self._appearance = self.scene.make()
+        self.env, self._looks = recipe.open()
         self.recorder = Recorder(self.writer)
         self.env.add_observer(self.recorder)
 
     @cached_property
     def transfer(self) -> StateTransfer:
         """Transfers recorded simulation states to the scene of the environment."""
-        source = compose(resolve(replace(self.scene.physics, assets="builtin"))).compile()
+        source = compose(resolve(replace(self.recipe.physics, assets="builtin"))).compile()
         return StateTransfer(source, self.env.simulation.world.model)
 
     def attempt(self, number: int) -> Any:
         """Make an episode, given its number in the dataset."""
         episode = self.dataset.episodes[number]
-        if self._appearance is not None:
-            self._appearance.episode_id = episode.id
+        if self._looks is not None:
+            self._looks.episode_id = episode.id
         with self.recorder.discard_on_error():
             return self.recipe.make(self, episode)
 
-    def play(self, episode: EpisodeRecord, agent: Agent, start: Mapping[str, Any], most: int) -> Iterator[Step]:
+    def play(self, episode: EpisodeRecord, agent: Agent, start: Mapping[str, Any], most: int) -> Generator[Step]:
         """Run an agent from a given start, record that under the recorded episode's id, and yield every step.
 
         Args:
@@ -79,7 +150,7 @@ class EpisodeMaker:
             most: Largest number of steps.
         """
         self.recorder.name_next(episode.id, instruction=episode.instruction)
-        yield from play(self.env, agent, seed=episode.seed, options=start, most=most)
+        yield from play(self.env, agent, seed=episode.seed, options=start, max_steps=most)
 
     def outcome(self, episode: EpisodeRecord, more: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the outcome's entries about randomisation and source of an episode.
@@ -96,11 +167,6 @@ class EpisodeMaker:
             SOURCE: episode.outcome.get(SOURCE, episode.source),  # its own source
         }
         return {**randomisation_of(self.env), SOURCE: {**source, **(more or {})}}
-
-    def keep(self, episode: EpisodeRecord, last: Step, more: Mapping[str, Any]) -> None:
-        """Keep the recording up to a last step; see `outcome`."""
-        failure = None if last.success else "replay"
-        self.recorder.finish(last.success, {"failure": failure, "reward": last.reward, **self.outcome(episode, more)})
 
     def close(self) -> None:
         """Close the environment and the writer."""

@@ -1,163 +1,34 @@
-"""Measures how often an agent succeeds in seeded episodes, in one process, several, or on a cluster, with videos."""
+"""Measures how often an agent succeeds in seeded episodes, in one process, several, or on a cluster, with films."""
 
 from __future__ import annotations
 
-import json
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field, replace
+import time
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
-from rcs_data.verdicts import wilson_interval
+from rcs_data.files.durable import sync_folder
+from rcs_data.ledger import Row
+from rcs_data.ledger.condition import key_of, named
+from rcs_data.ledger.ledger import FILMS_FOLDER
 
 from rcs.agents import Agent, agent_for
-from rcs.devices import lookup
+from rcs.agents.identity import identity_of
 from rcs.envs.env import Env
-from rcs.envs.observers.dataset_info import versions
 from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.envs.step.stack import for_all
-from rcs.errors import InvalidSetup
-from rcs.rollout.cluster import LOCAL
-from rcs.rollout.collect import Attempt, episode_id, seed_of
-from rcs.rollout.episode import EpisodeResult, Judge, run_episode
+from rcs.rollout.collect import Attempt, episode_id
+from rcs.rollout.episode import Answer, EpisodeResult, Judge, run_episode
+from rcs.rollout.evaluation import Evaluation, Summary
+from rcs.rollout.logbook import Logbook, condition_of, differs
+from rcs.rollout.person import PersonJudge
 from rcs.rollout.pool import WorkerPool
-from rcs.rollout.ray_pool import ClusterUsage, RayPool
-from rcs.rollout.remote_files import FileWorker, SentAgent, write_files
+from rcs.rollout.ray_pool import RayPool, write_files
 from rcs.rollout.video import Film
-from rcs.setups.make import make
-
-UNSEEN = 1 << 60
-"""First seed of a range of its own: collections and `rcs eval` have those below 2**32, training those from 2**61 on."""
-
-
-@runtime_checkable
-class Named(Protocol):
-    """A factory of agents with a name of its own, such as the address of a policy."""
-
-    name: str
-
-    def __call__(self, env: Env) -> Agent:
-        """Return an agent for an environment."""
-        ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class Evaluation:
-    """The recipe of an evaluation."""
-
-    setup: Setup
-    agent: Any = None
-    """An agent's class or name, `module:Class`, the address of a policy, or a `Named`; None for the expert of the task.
-    In one process also an agent."""
-    episodes: int = 50
-    seed: int = 0
-    """Same seed, same episodes; different seeds share none."""
-    first_seed: int = 0
-    """Added to the seed of every episode: `UNSEEN` for episodes that no collection and no training has, 0 for those of
-    the collection with this seed."""
-    workers: int = 1
-    """Processes; one works in this process. With `ray`, 0 is one per CPU of the cluster."""
-    ray: str | None = None
-    """Address of a Ray cluster for the processes (`local` for one of this machine, `auto`, `host:port`); None for this
-    machine, without Ray."""
-    videos: int = 0
-    """Number of first episodes with a video, `<number>.mp4`."""
-    out: Path = Path("evaluation")
-    """Folder for videos and figures."""
-
-    def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            InvalidSetup: A number is not valid.
-        """
-        fewest = 1 if self.ray in (None, LOCAL) else 0
-        for name, least in (("episodes", 1), ("seed", 0), ("first_seed", 0), ("workers", fewest), ("videos", 0)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}.")
-
-    @property
-    def agent_name(self) -> str | None:
-        """Name of the agent; None for the expert of the task."""
-        agent = type(self.agent) if isinstance(self.agent, Agent) else self.agent
-        if isinstance(agent, Named):
-            return agent.name
-        return None if agent is None else lookup.name_of("agent", agent)
-
-    def seed_of(self, number: int) -> int:
-        """Return the seed of an episode."""
-        return self.first_seed + seed_of(self.seed, number)
-
-
-@dataclass(kw_only=True)
-class Summary:
-    """Results of an evaluation or a collection."""
-
-    attempts: list[Attempt] = field(default_factory=list[Attempt])
-    """Attempts in the order of their ends."""
-    cluster: ClusterUsage | None = None
-    """The workers; None without a cluster."""
-    is_interrupted: bool = False
-    """Set it to end the evaluation after the running episodes."""
-
-    @property
-    def results(self) -> list[EpisodeResult]:
-        """The results, in the order of the attempts' numbers."""
-        return [attempt.result for attempt in sorted(self.attempts, key=lambda attempt: attempt.number)]
-
-    @property
-    def judged(self) -> int:
-        """Episodes with a verdict."""
-        return sum(result.success is not None for result in self.results)
-
-    @property
-    def successes(self) -> int:
-        """Episodes in which the task was done."""
-        return sum(bool(result.success) for result in self.results)
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """The 95 % Wilson interval of the success rate, 0 … 1; all of it if nothing was judged."""
-        return wilson_interval(self.successes, self.judged)
-
-    @property
-    def failures(self) -> Counter[str]:
-        """Number of failures by class."""
-        return Counter(result.failure for result in self.results if result.failure is not None)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures as JSON values: of all, and of each episode."""
-        return {
-            "episodes": len(self.results),
-            "judged": self.judged,
-            "successes": self.successes,
-            "success_rate": self.successes / self.judged if self.judged else None,
-            "wilson_95": list(self.interval),
-            "failures": dict(sorted(self.failures.items())),
-            "mean_steps": sum(result.steps for result in self.results) / max(len(self.results), 1),
-            "results": [asdict(result) for result in self.results],
-        }
-
-    def write(self, evaluation: Evaluation, more: Mapping[str, Any] | None = None) -> Path:
-        """Write recipe and figures to `evaluation.json` in the folder of an evaluation, and return the file's path.
-
-        Args:
-            evaluation: What was evaluated.
-            more: Further JSON values for the file.
-        """
-        about = {"setup": evaluation.setup.to_json(), "agent": evaluation.agent_name}
-        about |= {"seed": evaluation.seed, "first_seed": evaluation.first_seed}
-        path = evaluation.out / "evaluation.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(
-            json.dumps({**about, **(more or {}), **self.to_json(), "versions": versions()}, indent=2) + "\n", "utf-8"
-        )
-        return path
 
 
 class Evaluator:
@@ -166,52 +37,85 @@ class Evaluator:
     def __init__(
         self,
         evaluation: Evaluation,
+        condition: str = "",
+        *,
+        films: Path | None = None,
         env: Env | None = None,
         judge: Judge | None = None,
         recorder: Recorder | None = None,
+        keeps_env: bool = False,
     ) -> None:
         """Make the environment and the agent.
 
+        Args:
+            evaluation: The evaluation.
+            condition: The hash of its condition, for names of films and recordings.
+            films: Folder for a film of every episode; None for none.
+            env: The environment; None for a new one.
+            judge: Returns whether an episode was a success, in the place of the task.
+            recorder: Records every episode.
+            keeps_env: Whether the environment stays open.
+
         Raises:
-            InvalidSetup: The setup makes no sense, there is no such agent, or no picture for a video.
+            InvalidSetup: The setup makes no sense, there is no such agent, or no picture for a film.
         """
-        self._evaluation = evaluation
-        self._judge = judge
-        self._recorder = recorder
-        self._env = env or make(evaluation.setup)
+        self._evaluation, self._keeps_env = evaluation, keeps_env
+        self.condition = condition
+        """The hash of the condition."""
+        self._films, self._judge, self._recorder = films, judge, recorder
+        self._env = env or evaluation.make()
         try:
-            self._film = Film(self._env) if evaluation.videos else None
+            self._film = None if films is None else Film(self._env)
             self._agent: Agent = agent_for(self._env, evaluation.agent)
         except BaseException:
-            self._env.close()
+            if not keeps_env:
+                self._env.close()
             raise
 
     def attempt(self, number: int) -> Attempt:
         """Run one episode."""
-        film, is_filmed = self._film, number < self._evaluation.videos
-        with (
-            film.into(self._evaluation.out / f"{number:06d}.mp4") if film is not None and is_filmed else nullcontext(),
-            nullcontext() if self._recorder is None else self._recorder.discard_on_error(),
-        ):
-            return Attempt(number=number, result=self._run(number))
+        if self._film is None or self._films is None:
+            return self._attempt(number)
+        path = self._films / f"{self._name_of(number)}.mp4"
+        draft = path.with_name(f".{path.name}")
+        with self._film.into(draft):
+            attempt = self._attempt(number)
+        draft.replace(path)
+        sync_folder(self._films)
+        return attempt
 
-    def _run(self, number: int) -> EpisodeResult:
-        if self._recorder is not None:
-            self._recorder.name_next(episode_id(number))
-        seed = self._evaluation.seed_of(number)
-        result = run_episode(self._env, self._agent, seed=seed, judge=self._judge)
-        if self._recorder is not None:
-            self._recorder.finish(result.success, {"attempt": number, **result.outcome()})
-        return result
+    def _attempt(self, number: int) -> Attempt:
+        began = time.perf_counter()
+        with nullcontext() if self._recorder is None else self._recorder.discard_on_error():
+            if self._recorder is not None:
+                name = f"{episode_id(number)}-{self._name_of(number)}"  # readers sort by it
+                self._recorder.name_next(self._recorder.free_name(name))
+            result = run_episode(self._env, self._agent, seed=self._evaluation.seed_of(number), judge=self._judge)
+            if self._recorder is not None:
+                self._recorder.finish(result.success, {"attempt": number, **result.outcome()})
+        return Attempt(
+            number=number,
+            result=result,
+            weights=self._agent.weights,
+            is_lost=self._agent.is_lost,
+            latencies=tuple(self._agent.latencies),
+            seconds=time.perf_counter() - began,
+        )
+
+    def _name_of(self, number: int) -> str:
+        key = key_of(self.condition, self._evaluation.seed_of(number))
+        return named(key, self._evaluation.repeat_of(number))
 
     def close(self) -> None:
         """Close agent, film and environment, whatever fails."""
-        for_all([self._agent.close, *([] if self._film is None else [self._film.close]), self._env.close])
+        film, env = [] if self._film is None else [self._film.close], [] if self._keeps_env else [self._env.close]
+        for_all([self._agent.close, *film, *env])
 
 
-def _remote_worker(evaluation: Evaluation, agent: SentAgent, folder: Path) -> Evaluator:
-    """Return a worker on another machine."""
-    return Evaluator(replace(evaluation, agent=agent.unpack(folder / "agent"), out=folder / "videos"))
+Attempts = Generator[Attempt]
+"""Attempts, each made when it is asked for."""
+Maker = Callable[[Evaluation, Iterator[int]], Attempts]
+"""Runs the episodes with the numbers, which are taken when there is room, and yields each attempt as it ends."""
 
 
 def evaluate(
@@ -221,63 +125,172 @@ def evaluate(
     env: Env | None = None,
     judge: Judge | None = None,
     recorder: Recorder | None = None,
+    maker: Maker | None = None,
 ) -> Iterator[Attempt]:
-    """Run the episodes, and yield each as it ends.
+    """Run the episodes that are not in the ledger yet, and yield each as it ends.
 
     Closing the iterator, or setting `summary.is_interrupted`, ends the evaluation after the running episodes.
 
     Args:
         evaluation: Setup, agent and number of episodes; a setup or the name of a task for 50 episodes of its expert.
-        summary: Collects the attempts.
+        summary: Collects the attempts, those that are in the ledger already among them.
         env: An environment of the evaluation's setup, simulated or real, to use in this process; None for a new one.
             It is closed at the end.
         judge: Returns whether an episode was a success, in the place of the task; all episodes are then in this
             process.
         recorder: Records every episode; `env` is given too, and it is one of its observers.
+        maker: Runs the episodes; None for this process, workers or a cluster, as the evaluation says.
 
     Raises:
-        InvalidSetup: The setup is not valid, there is no such agent, or real devices alone have no picture to film.
-        RcsError: A worker process died, or the cluster cannot be reached.
+        InvalidSetup: The setup is not valid, or there is no such agent.
+        DatasetError: The folder has something else than a ledger, or the disk fails.
+        RcsError: A worker process died, the cluster or the policy cannot be reached, or the weights changed.
     """
     if not isinstance(evaluation, Evaluation):
         evaluation = Evaluation(setup=evaluation if isinstance(evaluation, Setup) else Setup(evaluation))
     summary = Summary() if summary is None else summary
-    numbers = _numbers(evaluation, summary)
-    if (evaluation.workers == 1 and evaluation.ray is None) or env is not None or judge is not None:
-        evaluator = Evaluator(evaluation, env, judge, recorder)
+    try:
+        book = None if evaluation.out is None else _logbook(evaluation, summary, env, judge)
+    except BaseException:
+        if env is not None:
+            env.close()
+        raise
+    with nullcontext() if book is None else book:
+        if book is not None:
+            book.take(summary)
+        numbers = _numbers(evaluation, summary) if book is None else book.missing(summary)
+        if isinstance(judge, PersonJudge):
+            numbers = _announced(evaluation, numbers, judge, book, env)
+        is_here = (evaluation.workers == 1 and evaluation.ray is None) or env is not None or judge is not None
+        if maker is not None:
+            making = maker(evaluation, numbers)
+        elif is_here:
+            hash_ = "" if book is None else book.hash
+            making = _here(evaluation, numbers, hash_, env=env, judge=judge, recorder=recorder)
+        else:
+            making = _elsewhere(evaluation, numbers)
+        with closing(making):
+            for attempt in making:
+                if book is not None:
+                    book.add(attempt)
+                summary.attempts.append(attempt)
+                if isinstance(judge, PersonJudge):
+                    judge.answered(partial(correct, book, summary, len(summary.attempts) - 1))
+                yield attempt
+        if book is not None:
+            book.take(summary)  # what other processes made
+
+
+def film(evaluation: Evaluation, most: int) -> Iterator[tuple[Row, EpisodeResult]]:
+    """Run episodes of an evaluation that has ended again from their seeds, and film them; failures come first.
+
+    Yields the row of each, and what came of it now. If that differs (`logbook.differs`), because the policy or the
+    environment draws numbers of its own or waits for the clock, the film shows another episode, and is removed.
+
+    Args:
+        evaluation: The evaluation, which has a folder.
+        most: How many episodes shall have a film, with those that have one.
+
+    Raises:
+        InvalidSetup: There is no ledger, or real devices alone, which have no picture to film.
+        RcsError: As `evaluate`.
+    """
+    with _logbook(evaluation, Summary(), None, None) as book:
+        rows = {number: row for number in range(evaluation.episodes) if (row := book.row_of(number)) is not None}
+        wanted = sorted(rows, key=lambda number: (rows[number].success is not False, number))[:most]
+        wanted = [number for number in wanted if not book.ledger.film(rows[number]).is_file()]
+        if not wanted:
+            return
+        folder = book.ledger.folder / FILMS_FOLDER
+        folder.mkdir(exist_ok=True)
+        if evaluation.workers == 1 and evaluation.ray is None:
+            making = _here(evaluation, iter(wanted), book.hash, films=folder)
+        else:
+            making = _elsewhere(evaluation, iter(wanted), book.hash, films=folder)
+        with closing(making):
+            for attempt in making:
+                row = rows[attempt.number]
+                if differs(row, attempt.result):
+                    book.ledger.film(row).unlink(missing_ok=True)
+                yield row, attempt.result
+
+
+def correct(book: Logbook | None, summary: Summary, place: int, answer: Answer) -> None:
+    """Replace a judge's answer in the ledger and in a summary.
+
+    Args:
+        book: The ledger; None without one.
+        summary: The summary.
+        place: The place of the attempt in it.
+        answer: The new answer.
+
+    Raises:
+        DatasetError: The disk is full or fails.
+    """
+    attempt = summary.attempts[place]
+    if book is None:
+        summary.attempts[place] = replace(attempt, result=attempt.result.corrected(answer))
+    else:
+        summary.attempts[place] = book.correct(attempt, answer)
+
+
+def _logbook(evaluation: Evaluation, summary: Summary, env: Env | None, judge: Judge | None) -> Logbook:
+    identity = summary.identity = identity_of(evaluation.agent, evaluation.setup.task)
+    condition = condition_of(evaluation, identity, None if env is None else env.platform)
+    summary.condition = condition.hash
+    return Logbook(evaluation, identity, condition, "task" if judge is None else "person")
+
+
+def _announced(
+    evaluation: Evaluation, numbers: Iterator[int], judge: PersonJudge, book: Logbook | None, env: Env | None
+) -> Iterator[int]:
+    """Yield numbers, and have a person know which episode is to be prepared while the one before is judged."""
+    for number in numbers:
+        later = (one for one in evaluation.numbers[number + 1 :] if book is None or book.row_of(one) is None)
+        coming = next(later, None)
+        after = None if coming is None else evaluation.seed_of(coming)
+        judge.announce(env, evaluation.seed_of(number), after)
+        yield number
+
+
+def _here(evaluation: Evaluation, numbers: Iterator[int], condition: str, **options: Any) -> Attempts:
+    """Run episodes in this process."""
+    evaluator = Evaluator(evaluation, condition, **options)
+    try:
+        for number in numbers:
+            yield evaluator.attempt(number)
+    except BaseException as error:
         try:
-            for number in numbers:
-                summary.attempts.append(evaluator.attempt(number))
-                yield summary.attempts[-1]
-        except BaseException as error:
-            try:
-                evaluator.close()
-            except Exception as err:  # noqa: BLE001  the first error is the one to be raised
-                error.add_note(f"While closing: {type(err).__name__}: {err}")
-            raise
-        evaluator.close()
-        return
-    for attempt in _attempts(evaluation, numbers, summary):
-        summary.attempts.append(attempt)
-        yield attempt
+            evaluator.close()
+        except Exception as err:  # noqa: BLE001  the first error is the one to be raised
+            error.add_note(f"While closing: {type(err).__name__}: {err}")
+        raise
+    evaluator.close()
 
 
-def _attempts(evaluation: Evaluation, numbers: Iterator[int], summary: Summary) -> Iterator[Attempt]:
+def _elsewhere(
+    evaluation: Evaluation, numbers: Iterator[int], condition: str = "", films: Path | None = None
+) -> Attempts:
+    """Run episodes in processes of this machine, or on a cluster."""
     if evaluation.ray is None:
-        with WorkerPool(partial(Evaluator, evaluation), evaluation.workers) as pool:
+        with WorkerPool(partial(Evaluator, evaluation, condition, films=films), evaluation.workers) as pool:
             yield from pool.map(numbers)
         return
-    worker = partial(_remote_worker, evaluation, SentAgent.of(evaluation.agent))
-    make = partial(FileWorker, worker, outbox="videos")
-    with RayPool(make, evaluation.workers, evaluation.ray) as pool:
-        summary.cluster = pool.usage
+    make = partial(_remote_worker, evaluation, condition, films is not None)
+    with RayPool(make, evaluation.workers, evaluation.ray, outbox=FILMS_FOLDER, agent=evaluation.agent) as pool:
         for attempt, files in pool.map(numbers):
-            write_files(files, evaluation.out)
+            if films is not None:
+                write_files(files, films)
             yield attempt
 
 
+def _remote_worker(evaluation: Evaluation, condition: str, has_films: bool, folder: Path, agent: Any) -> Evaluator:
+    """Return a worker on another machine."""
+    return Evaluator(replace(evaluation, agent=agent), condition, films=folder / FILMS_FOLDER if has_films else None)
+
+
 def _numbers(evaluation: Evaluation, summary: Summary) -> Iterator[int]:
-    for number in range(evaluation.episodes):
+    for number in evaluation.numbers:
         if summary.is_interrupted:
             return
         yield number

@@ -15,12 +15,16 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from itertools import islice
-from multiprocessing import get_context, resource_tracker
+from multiprocessing import active_children, get_context, resource_tracker
+from multiprocessing.process import BaseProcess
 from typing import Any, Protocol
 
-from rcs_data.closing import Closing
+from rcs_data.files.closing import Closing
 
 from rcs.errors import RcsError
+
+_WATCH = 1.0
+"""Time between two looks for workers that have died [s]: the executor may not hear of it before another one answers."""
 
 
 class Worker(Protocol):
@@ -47,6 +51,7 @@ class WorkerPool(Closing):
         """
         context = get_context("spawn")  # a fork would copy threads and GL contexts in undefined states
         self._workers = workers
+        self._others, self._own = set(active_children()), set[BaseProcess]()
         self._pool = ProcessPoolExecutor(workers, context, initializer=_start, initargs=(make, os.getpid()))
 
     def map(self, numbers: Iterator[int]) -> Iterator[Any]:
@@ -64,12 +69,18 @@ class WorkerPool(Closing):
                 wanted = list(islice(numbers, self._workers - len(pending)))
                 with _without_interrupts():
                     pending |= {self._pool.submit(_attempt, number) for number in wanted}
+                self._own |= set(active_children()) - self._others
                 if not pending:
                     return
-                done, pending = wait(pending, return_when=FIRST_COMPLETED)
+                done, pending = wait(pending, _WATCH, return_when=FIRST_COMPLETED)
                 for future in done:
                     yield future.result()
+                if not done and not self._own <= set(active_children()):
+                    raise BrokenProcessPool
         except BrokenProcessPool as err:
+            # One that died while it took a number keeps a lock, on which the others, and the pool's end, would wait.
+            for process in self._own & set(active_children()):
+                process.kill()
             raise RcsError("A worker process died (was it killed, or out of memory?); resume to go on.") from err
 
     def close(self) -> None:

@@ -1,33 +1,29 @@
 """Episodes with real robots: their starts, the agent's knowledge of the objects, and the verdict.
 
-The objects lie where a simulated scene of the same setup has them at the episode's seed. Nothing is simulated after
-that: the agent gets their poses at the start.
+The objects lie where a simulated scene of the same setup has them at the episode's seed, or where the robot has set
+them down near there (`placing`). Nothing is simulated after that: the agent gets their poses at the start.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rcs.agents import Agent
 from rcs.agents.agent import Event
 from rcs.agents.script import Script
-from rcs.envs.assemble import compose
 from rcs.envs.env import Env
-from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.setup import Setup
-from rcs.envs.spaces import GRIPPER, JOINTS, Action, Observation
+from rcs.envs.observers.dataset_info import OBJECTS
+from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Action, Observation
 from rcs.envs.step.approach import SPEED
-from rcs.envs.step.simulation import Simulation
-from rcs.errors import DeviceFault
-from rcs.rollout.episode import EpisodeResult, run_episode
-from rcs.rollout.operator import Operator
-from rcs.setups.make import resolve
-from rcs.sim.robot import SimRobot
-from rcs.sim.world import World
+from rcs.errors import DeviceFault, Refused
+from rcs.rollout.episode import EpisodeResult, is_open, run_episode
+from rcs.rollout.placing import PLACED, Placer, Poses, SeededScene, SetDown, by_reset, is_placed_by_robot, judged
+from rcs.rollout.supervisor import Supervisor
+from rcs.spatial import Pose
 
 HOLDING = 1.0
 """Time that a script holds its last goal if its task has no hold time [s]."""
@@ -38,39 +34,73 @@ MORE = 0.5
 class RealEpisodes:
     """Makes episodes in an environment with real arms."""
 
-    def __init__(self, env: Env, agent: Agent, operator: Operator, *, speed: float = SPEED) -> None:
+    def __init__(self, env: Env, agent: Agent, supervisor: Supervisor, *, speed: float = SPEED) -> None:
         """Prepare; nothing moves.
 
         Args:
             env: The environment.
             agent: The agent.
-            operator: Agrees to motions, places the objects and judges.
+            supervisor: Agrees to motions, places the objects and judges.
             speed: Largest speed of a joint on its way home, as a share of its limit.
         """
-        self._env, self._operator, self._speed = env, operator, speed
-        self._scene = _scene_of(env.setup)
+        self._env, self._supervisor, self._speed = env, supervisor, speed
+        self._scene = SeededScene(env.setup)
+        self._placer = Placer(env, self._scene) if is_placed_by_robot(env.setup) else None
+        self._is_held = False
         holding = float(getattr(self._scene.task.options, "hold_time", HOLDING)) + MORE
         self._agent = _Informed(agent, holding)
-        self.objects: dict[str, list[float]] = {}
-        """Poses of the objects at the start of the present episode, for its outcome."""
+        self._objects: Poses = {}
+        self._placed: dict[str, Any] = {}
+
+    @property
+    def outcome(self) -> dict[str, Any]:
+        """Return what to store of the start: poses of the objects, and who put them there if that may be the robot."""
+        poses = {name: pose.tolist() for name, pose in self._objects.items()}
+        return {OBJECTS: poses, **({PLACED: self._placed} if self._placer is not None else {})}
 
     def prepare(self, seed: int) -> None:
-        """Move the arms home, open their grippers, and let the operator place the objects.
+        """Move the arms home, open their grippers, and let the robot or the supervisor place the objects.
 
         Raises:
-            Refused: The operator does not agree that the arms move.
-            DeviceFault: A device is in its fault state, and the operator does not agree to clear it.
+            Refused: The supervisor does not agree that the arms move.
+            DeviceFault: A device is in its fault state, and the supervisor does not agree to clear it.
         """
-        self._scene.begin(EpisodeRandom(np.asarray(seed), np.asarray(0)))
-        poses = self._scene.object_poses()
-        self.objects = {name: pose.tolist() for name, pose in poses.items()}
-        self._agent.known = self._scene.describe()
+        found = self._set_down(seed)
         self._go_home(seed)
-        self._operator.place(seed, poses)
+        self._objects, self._placed = self._look_for(found, seed)
+        if self._placed["by"] != "robot":
+            self._objects = self._scene.poses(seed)
+            self._supervisor.place(seed, self._objects)
+        self._agent.known = self._scene.describe(self._objects)
 
     def run(self, seed: int) -> EpisodeResult:
         """Make the episode that was prepared."""
-        return run_episode(self._env, self._agent, seed=seed, judge=self._operator.judge)
+        result = run_episode(self._env, self._agent, seed=seed, judge=self._supervisor.judge)
+        self._is_held = result.success is True
+        return result
+
+    def _set_down(self, seed: int) -> SetDown | None:
+        """Have the robot set the object in its gripper down; None if it has none, or is not to."""
+        is_held, self._is_held = self._is_held, False
+        if self._placer is None or not is_held or (grasp := self._agent.grasp) is None:
+            return None
+        question = f"The robot sets the {self._placer.name} down, where its next episode begins. Is the way free?"
+        if not self._supervisor.may_move(question):
+            raise Refused(f"Nothing has moved, because nobody agreed to this: {question}")
+        lay = Pose.from_tquat(self._objects[self._placer.name])
+        return self._placer.set_down(seed, Pose.from_tquat(grasp).inverse() * lay)
+
+    def _look_for(self, found: SetDown | None, seed: int) -> tuple[Poses, dict[str, Any]]:
+        """Return where the objects lie after the robot has set one down, and the entry `placed`."""
+        if self._placer is None or found is None:
+            return {}, by_reset("no success before")
+        if found.pose is None:
+            return {}, by_reset(str(found.why), found)
+        believed = {self._placer.name: found.pose}
+        seen = self._supervisor.look(believed)
+        if seen is None:
+            return {}, by_reset("it does not lie there", found)
+        return seen, judged(found, self._scene.poses(seed, found.number), seen, self._placer.name)
 
     def _go_home(self, seed: int) -> None:
         home: dict[str, dict[str, Any]] = {}
@@ -79,19 +109,19 @@ class RealEpisodes:
             if robot.gripper is not None:
                 home[name][GRIPPER] = np.ones(1)
         robot = home if len(home) > 1 else next(iter(home.values()))
-        options = {"robot": robot, "may_move": self._operator.may_move, "speed": self._speed}
+        options = {"robot": robot, "may_move": self._supervisor.may_move, "speed": self._speed}
         while True:
             try:
                 self._env.reset(seed=seed, options=options)
                 return
             except DeviceFault as err:
-                if not self._operator.may_recover(str(err)):
+                if not self._supervisor.may_recover(str(err)):
                     raise
                 self._env.recover()
 
     def close(self) -> None:
         """Close the simulated scene."""
-        self._scene.world.close()
+        self._scene.close()
 
 
 class _Informed(Agent):
@@ -101,12 +131,20 @@ class _Informed(Agent):
         self._agent, self._holding = agent, holding
         self.rate = agent.rate
         self.known: Mapping[str, Any] = {}
+        self.grasp: NDArray[np.float64] | None = None
+        """Pose of the TCP where the gripper was told to close last, (7,); None before, and with several robots."""
+        self._was_open = True
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        self.grasp, self._was_open = None, True
         self._agent.reset(observation, {**info, **self.known})
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
-        return self._agent.act(observation, {**info, **self.known})
+        action = self._agent.act(observation, {**info, **self.known})
+        was_open, self._was_open = self._was_open, bool(is_open(action))
+        if was_open and not self._was_open and TQUAT in observation:
+            self.grasp = np.array(observation[TQUAT])
+        return action
 
     def close(self) -> None:
         self._agent.close()
@@ -130,11 +168,3 @@ class _Informed(Agent):
 def has_real_arms(env: Env) -> bool:
     """Return whether any arm of an environment is real."""
     return any(env.platform.get(name) != "simulation" for name in env.robots)
-
-
-def _scene_of(setup: Setup) -> Simulation:
-    """Return the simulated scene of a setup, as the robots' lab has it, without cameras."""
-    bare = Setup(task=setup.task, task_options=setup.task_options, robot=setup.robot, end_effector=setup.end_effector)
-    parts = resolve(replace(bare, frequency=setup.frequency))
-    world = World(compose(parts).compile(), frequency=setup.frequency)
-    return Simulation(world, [SimRobot(world, robot) for robot in parts.robots], parts.task)

@@ -34,14 +34,7 @@ class RecordedMotion(Agent):
     A gripper or hand that only opens and closes follows the trend of the recorded opening, another one that opening.
     """
 
-    def __init__(
-        self,
-        episode: EpisodeRecord,
-        robots: list[SimRobot],
-        is_binary: bool,
-        frequency: float,
-        state: str | None = None,
-    ) -> None:
+    def __init__(self, episode: EpisodeRecord, robots: list[SimRobot], is_binary: bool, frequency: float) -> None:
         """Read the states.
 
         Args:
@@ -49,7 +42,6 @@ class RecordedMotion(Agent):
             robots: The simulated robots.
             is_binary: Whether their grippers only open and close fully.
             frequency: Control steps per second of the simulation [Hz].
-            state: The feature with joints, then gripper or hand, robot by robot; None for one feature each.
 
         Raises:
             InvalidSetup: A feature is missing or does not fit these robots.
@@ -57,9 +49,7 @@ class RecordedMotion(Agent):
         """
         if episode.length < 2:
             raise InvalidSetup(f"Episode {episode.id!r} has {episode.length} rows; a motion needs at least 2.")
-        places = find_states(episode.info, robots, is_binary, state)
-        columns = {feature: episode.column(feature).astype(np.float64) for feature, _ in places.values()}
-        values = {key: columns[feature][:, part] for key, (feature, part) in places.items()}
+        values = {key: episode.column(key).astype(np.float64) for key in find_states(episode.info, robots, is_binary)}
         self._times: NDArray[np.float64] = np.arange(episode.length) / episode.info.frequency
         self._frequency = frequency
         self._steps = 0
@@ -130,44 +120,32 @@ class _Robot:
         return action
 
 
-def find_states(
-    info: DatasetInfo, robots: list[SimRobot], is_binary: bool, state: str | None = None
-) -> dict[str, tuple[str, slice]]:
-    """Return feature and slice for each part of a motion, by its key in an environment.
+def find_states(info: DatasetInfo, robots: list[SimRobot], is_binary: bool) -> list[str]:
+    """Return the features of a motion.
 
     Args:
         info: The info of the dataset.
         robots: The robots that are to follow.
         is_binary: Whether their grippers only open and close fully.
-        state: The feature with joints, then gripper or hand, robot by robot; None for one feature each.
 
     Raises:
         InvalidSetup: A feature is missing or does not fit the robots.
     """
-    sizes: dict[str, int] = {}
-    apart: dict[str, int] = {}  # never joined to the others
+    needed: dict[str, tuple[int, ...]] = {}
     before = robot_prefixes(robot.placement.name for robot in robots).values()
     for placement, prefix in zip([robot.placement for robot in robots], before, strict=True):
-        sizes[f"{OBSERVATION}/{prefix}{keys.JOINTS}"] = len(placement.arm.joints)
-        if placement.gripper is not None:
-            sizes[f"{OBSERVATION}/{prefix}{keys.GRIPPER}"] = 1
+        needed[f"{OBSERVATION}/{prefix}{keys.JOINTS}"] = (len(placement.arm.joints),)
         if placement.hand is not None:
-            sizes[f"{OBSERVATION}/{prefix}{keys.HAND}"] = len(placement.hand.joints)
-            if is_binary:
-                apart[f"{OBSERVATION}/{prefix}{keys.GRIPPER}"] = 1
-    places = {key: (key, slice(0, size)) for key, size in {**sizes, **apart}.items()}
-    needed = {key: (size,) for key, size in {**sizes, **apart}.items()}
-    if state is not None:
-        ends = np.cumsum(list(sizes.values())).tolist()
-        places |= {key: (state, slice(end - size, end)) for (key, size), end in zip(sizes.items(), ends, strict=True)}
-        needed = {state: (ends[-1],), **{key: (size,) for key, size in apart.items()}}
+            needed[f"{OBSERVATION}/{prefix}{keys.HAND}"] = (len(placement.hand.joints),)
+        if placement.gripper is not None or (placement.hand is not None and is_binary):
+            needed[f"{OBSERVATION}/{prefix}{keys.GRIPPER}"] = (1,)
     shapes = {feature.key: feature.shape for feature in info.features}
     wrong = {key: shape for key, shape in needed.items() if shapes.get(key) != shape}
     if wrong:
         found = {key: shape for key, shape in shapes.items() if key.startswith(OBSERVATION)}
         names = ", ".join(robot.placement.name for robot in robots)
         raise InvalidSetup(f"To follow the recording, {names} needs the features {wrong}; the dataset has {found}.")
-    return places
+    return list(needed)
 
 
 def trend(openings: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Collection
+from dataclasses import replace
 from typing import Any
 
 from rcs_data import Dataset
-from rcs_data.info import MERGED
+from rcs_data.files.info import MERGED
 
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
+from rcs.sim.randomisation import Randomisation
 
 RECORDED = "recorded"
 """Key in a dataset's setup: the setup of its states, if its frames were rendered with another one."""
+SEEN = ("cameras", "render_quality", "assets", "randomisation")
+"""Fields of a setup that change only frames; of a randomisation, those in `VISUAL`."""
+VISUAL = (
+    "light_intensity", "light_direction", "light_position", "table_colour", "object_colour", "room_colour", "textures",
+    "camera_translation", "camera_rotation", "field_of_view",
+)  # fmt: skip
+"""Fields of a randomisation that change only frames."""
 
 
 def setup_of(dataset: Dataset, *, trust: Collection[str] = (), task: str | None = None) -> Setup:
@@ -54,6 +64,33 @@ def physics_of(dataset: Dataset, *, trust: Collection[str] = ()) -> Setup:
     """
     recorded = dataset.info.setup.get(RECORDED)
     return setup_of(dataset, trust=trust) if recorded is None else _parse(dataset, recorded, trust)
+
+
+def seen_as(recorded: Setup, wanted: Setup | None, looks_seed: int | None = None) -> Setup:
+    """Return a recorded setup with the frames of another one: its cameras, quality, assets and visual randomisation.
+
+    Args:
+        recorded: The recorded setup.
+        wanted: The other setup; None for the recorded one.
+        looks_seed: Seed of the appearance, which is randomised even if `wanted` has no randomisation; None for the
+            recorded appearance.
+
+    Raises:
+        InvalidSetup: They differ in something else.
+    """
+    wanted = wanted or recorded
+    names = [own.name for own in dataclasses.fields(Setup)]  # pyright: ignore[reportArgumentType]
+    different = [n for n in names if n not in SEEN and getattr(wanted, n) != getattr(recorded, n)]
+    if different:
+        raise InvalidSetup(
+            f"The setup differs from the recorded one in {', '.join(different)}; recorded actions and states are seen "
+            f"anew with other {', '.join(SEEN)}, and all else as recorded."
+        )
+    ranges = Randomisation() if looks_seed is not None and wanted.randomisation is None else wanted.randomisation
+    if ranges != recorded.randomisation:
+        before, after = recorded.randomisation or Randomisation.off(), ranges or Randomisation.off()
+        ranges = replace(before, **{name: getattr(after, name) for name in VISUAL})
+    return replace(wanted, randomisation=ranges)
 
 
 def require_trusted(values: Any, source: str, trust: Collection[str] = ()) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,12 @@ from typing import Any
 from gymnasium import spaces
 from rcs_data import Dataset, EpisodeRecord
 
-from rcs.agents import Agent, Replay
+from rcs.agents import Replay
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import ACTION
-from rcs.envs.spaces import Observation
 from rcs.errors import InvalidSetup
+from rcs.rollout.episode import play
 from rcs.rollout.recorded_setup import physics_of, require_rate, require_states
 from rcs.setups.make import resolve
 from rcs.sim.state_transfer import of_another_simulation
@@ -76,13 +77,13 @@ def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
     states = episode.sim_state()
     most = len(states) - 1
     agent = Replay(recorded(episode, ACTION, env.stack.action_space))
-    steps = play(env, agent, seed=episode.seed, options={"state": states[0]}, most=most)
     first_difference: int | None = None
-    for step in steps:
-        is_equal = env.simulation.world.states().tobytes() == states[step.row].tobytes()
-        if not is_equal or (step.is_over and step.row < most):
-            first_difference = step.row
-            break
+    with closing(play(env, agent, seed=episode.seed, options={"state": states[0]}, max_steps=most)) as steps:
+        for step in steps:
+            is_equal = env.simulation.world.states().tobytes() == states[step.row].tobytes()
+            if not is_equal or (step.is_over and step.row < most):
+                first_difference = step.row
+                break
     begins_at_reset = True
     if first_difference is not None:
         env.reset(seed=episode.seed)
@@ -90,46 +91,6 @@ def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
     return ReplayResult(
         episode_id=episode.id, steps=most, first_difference=first_difference, begins_at_reset=begins_at_reset
     )
-
-
-@dataclass(frozen=True)
-class Step:
-    """The result of the reset, or of a step."""
-
-    row: int
-    """0 after the reset, then the number of the step."""
-    observation: Observation
-    info: dict[str, Any]
-    reward: float
-    """Sum since the reset."""
-    is_over: bool
-
-    @property
-    def success(self) -> bool:
-        """Whether the task is done."""
-        return bool(self.info.get("success", False))
-
-
-def play(env: Env, agent: Agent, *, seed: int | None, options: Mapping[str, Any], most: int) -> Iterator[Step]:
-    """Run an agent from a given start until the episode is over.
-
-    Args:
-        env: The environment.
-        agent: The agent.
-        seed: Seed of the reset.
-        options: Options of the reset: the start.
-        most: Largest number of steps.
-    """
-    observation, info = env.reset(seed=seed, options=options)
-    agent.reset(observation, info)
-    step = Step(0, observation, info, 0.0, False)
-    yield step
-    for row in range(1, most + 1):
-        observation, reward, terminated, truncated, info = env.step(agent.act(step.observation, step.info))
-        step = Step(row, observation, info, step.reward + float(reward), terminated or truncated)
-        yield step
-        if step.is_over:
-            return
 
 
 def recorded(episode: EpisodeRecord, prefix: str, space: spaces.Dict) -> dict[str, Any]:

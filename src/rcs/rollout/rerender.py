@@ -1,4 +1,4 @@
-"""Renders recorded states again: with other cameras, sizes, qualities and appearances."""
+"""Renders recorded states again: with other cameras, sizes, qualities and looks."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 from rcs_data import Dataset, DatasetInfo, EpisodeRecord, Feature
-from rcs_data.flags import FrameFlag, flags_key, time_key
+from rcs_data.files.flags import FrameFlag, flags_key, time_key
 
 from rcs.envs import spaces as keys
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.observers.dataset_info import OBSERVATION, TIME_MONOTONIC, versions
 from rcs.envs.ports.simulated_cameras import SimCameraPort
+from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.rollout.derived_dataset import Derivation, EpisodeMaker, derive
-from rcs.rollout.recorded_setup import physics_of, require_states, setup_of
-from rcs.rollout.replay_scene import Appearance, ReplayScene
+from rcs.rollout.recorded_setup import physics_of, require_states, seen_as, setup_of
 
 FRAMES = f"{OBSERVATION}/{keys.FRAMES}/"
 
@@ -39,7 +39,8 @@ def rerender(
     source: str | Path,
     out: str | Path,
     *,
-    appearance: Appearance | None = None,
+    setup: Setup | None = None,
+    looks_seed: int | None = None,
     workers: int = 1,
     trust: Collection[str] = (),
 ) -> Iterator[RerenderResult]:
@@ -51,7 +52,9 @@ def rerender(
     Args:
         source: Folder of the recorded dataset.
         out: Folder of the new dataset; it must not exist.
-        appearance: Changes to the frames; None for the recorded ones.
+        setup: The setup of the new frames, see `seen_as`; None for the recorded one.
+        looks_seed: Seed of the appearance of episodes; None for the recorded one. Different seeds make variants of a
+            dataset.
         workers: Number of processes; 1 for this one, 0 for one per core.
         trust: Modules that may be imported because the dataset's setup names them.
 
@@ -62,13 +65,15 @@ def rerender(
     dataset = Dataset.open(source)
     require_states(dataset)
     physics, frames = physics_of(dataset, trust=trust), setup_of(dataset, trust=trust)
-    scene = ReplayScene(physics=physics, frames=frames, appearance=appearance or Appearance())
-    env, _ = scene.make()
+    setup = seen_as(frames, setup, looks_seed)
+    recipe = Derivation(
+        kind="render", source=Path(source), physics=physics, setup=setup, looks_seed=looks_seed, make=_render
+    )
+    env, _ = recipe.open()
     try:
-        fresh = scene.info(env, dataset.info, has_recorded_states=True)
+        fresh = recipe.info(env, dataset.info, has_recorded_states=True)
     finally:
         env.close()
-    recipe = Derivation(kind="render", source=Path(source), scene=scene, make=_render)
     yield from derive(recipe, Path(out), _info(dataset.info, fresh), workers)
 
 
@@ -90,7 +95,7 @@ def _render(maker: EpisodeMaker, episode: EpisodeRecord) -> RerenderResult:
     """Render one episode: in each row, the cameras that have a frame due."""
     simulation, info = maker.env.simulation, maker.writer.info
     world = simulation.world
-    if episode.seed is None and maker.scene.physics.randomisation is not None:
+    if episode.seed is None and maker.recipe.physics.randomisation is not None:
         raise InvalidSetup(f"Episode {episode.id!r} was randomised without a seed, so its appearance is unknown.")
     states = episode.sim_state()
     simulation.begin(EpisodeRandom(episode.seed or 0, 0))

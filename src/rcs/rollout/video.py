@@ -55,7 +55,10 @@ class Video:
 
 
 class Film(Observer):
-    """Draws every reset and step of a simulated environment, from the overview camera, into video files."""
+    """Draws every reset and step of a simulated environment, from the overview camera, into video files.
+
+    Of another project's simulator, these are the images of its cameras.
+    """
 
     def __init__(self, env: Env, *, size: tuple[int, int] = (640, 480), quality: Quality = "fast") -> None:
         """Look at an environment; nothing is drawn outside of `into`.
@@ -68,10 +71,10 @@ class Film(Observer):
         Raises:
             InvalidSetup: The environment is real devices alone.
         """
-        if not env.is_simulated:
+        if not env.is_simulated and env.render_mode is None:
             raise InvalidSetup("Real devices have no picture to film; record them, and `rcs data view` shows frames.")
         self._env = env
-        self._picture = Picture(env.simulation.world, size=size, quality=quality)
+        self._picture = Picture(env.simulation.world, size=size, quality=quality) if env.is_simulated else None
         self._video: Video | None = None
 
     @contextmanager
@@ -96,29 +99,9 @@ class Film(Observer):
 
     def _draw(self) -> None:
         if self._video is not None:
-            self._video.add(self._picture.draw())
+            self._video.add(self._env.render() if self._picture is None else self._picture.draw())
 
     def close(self) -> None:
         """Free the renderer. Closing twice is harmless."""
-        self._picture.close()
-
-
-@contextmanager
-def film(
-    env: Env, path: str | Path, *, size: tuple[int, int] = (640, 480), quality: Quality = "fast"
-) -> Generator[None]:
-    """Film what happens in a block into a file; arguments as those of `Film`.
-
-    Example:
-        >>> import rcs
-        >>> from rcs.rollout.video import film
-        >>> env = rcs.make("PickCuboid")
-        >>> with film(env, "start.mp4"):
-        ...     observation, info = env.reset(seed=0)
-    """
-    made = Film(env, size=size, quality=quality)
-    try:
-        with made.into(path):
-            yield
-    finally:
-        made.close()
+        if self._picture is not None:
+            self._picture.close()

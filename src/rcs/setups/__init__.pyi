@@ -1,12 +1,12 @@
-from rcs.robots.camera_mount import CameraMount as CameraMount
-from rcs.robots.camera_mount import looking as looking
+from rcs.robots.camera import Calibration as Calibration
+from rcs.robots.camera import CameraMount as CameraMount
+from rcs.robots.camera import looking as looking
+from rcs.setups.board_setup import ShowBoard as ShowBoard
+from rcs.setups.board_setup import ShowBoardOptions as ShowBoardOptions
 from rcs.setups.board_setup import board_setup as board_setup
-from rcs.setups.calibration import Calibration as Calibration
 from rcs.setups.calibration import KnownBoard as KnownBoard
-from rcs.setups.calibration import read_boards as read_boards
 from rcs.setups.calibration import read_calibration as read_calibration
 from rcs.setups.calibration import write_calibration as write_calibration
-from rcs.setups.drift import drift_check as drift_check
 from rcs.setups.ids import ids as ids
 from rcs.setups.ids import tasks_of as tasks_of
 from rcs.setups.lab import Lab as Lab

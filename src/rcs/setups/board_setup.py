@@ -3,24 +3,101 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
+import mujoco
 import numpy as np
 
 from rcs.calibration import Board
 from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
+from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.robots.description import Mount
 from rcs.setups.calibration import KnownBoard
 from rcs.setups.lab import lab_of
 from rcs.setups.mounted_camera import MountedCamera
-from rcs.spatial import Pose
-from rcs.tasks.show_board import THICKNESS, ShowBoardOptions
+from rcs.sim.scene import RobotPlacement, Scene
+from rcs.spatial import Pose, xyzw_to_wxyz
+from rcs.tasks.free import Free
 
+BOARD = "board"
+"""Name of the board's body, geom, material and texture."""
+THICKNESS = 0.003
+"""Thickness of the board [m]."""
+PIXELS_PER_CELL = 32
+"""Pixels of the texture per cell of a tag."""
 HELD = 0.02
 """How much of a board's border is between the fingers of the gripper that holds it [m]."""
 USUAL_SIZE = (640, 480)
 """Size of pictures of a camera without a calibration [px]."""
+
+
+class ShowBoardOptions(Free.Options):
+    """Where which board is."""
+
+    board: Board = Board()
+    """The board."""
+    on: Literal["scene", "gripper"] = "scene"
+    """What carries the board: the scene, or the base body of the first robot's gripper."""
+    mount: Mount = Mount(translation=(0.5, 0.0, THICKNESS))
+    """Pose of its middle in the frame of what carries it, z out of the printed side."""
+
+
+class ShowBoard(Free):
+    """A board to calibrate cameras with, true to scale."""
+
+    Options = ShowBoardOptions
+    options: ShowBoardOptions
+
+    def furnish(self, scene: Scene) -> None:
+        """Add a table, and the board if the scene carries it."""
+        scene.add_table()
+        if self.options.on == "scene":
+            self._add_board(scene, scene.spec.worldbody)
+
+    def equip(self, scene: Scene, robots: tuple[RobotPlacement, ...]) -> None:
+        """Add the board to the gripper if that carries it; it touches the table, but not the gripper.
+
+        Raises:
+            InvalidSetup: The first robot has no end effector.
+        """
+        if self.options.on == "scene":
+            return
+        robot = robots[0]
+        if robot.end_effector is None:
+            raise InvalidSetup(f"A board on the gripper of {robot.name!r} needs one; it has a bare flange.")
+        parent = robot.gripper_prefix + robot.end_effector.base_body
+        self._add_board(scene, scene.spec.body(parent))
+        for body in scene.spec.bodies:
+            if body.name.startswith(robot.gripper_prefix):
+                scene.spec.add_exclude(bodyname1=BOARD, bodyname2=body.name)
+
+    def _add_board(self, scene: Scene, parent: mujoco.MjsBody) -> None:
+        spec, options = scene.spec, self.options
+        width, height = options.board.size
+        picture = options.board.picture(PIXELS_PER_CELL)
+        texture = spec.add_texture(
+            name=BOARD,
+            type=mujoco.mjtTexture.mjTEXTURE_2D,
+            width=picture.shape[1],
+            height=picture.shape[0],
+            nchannel=3,
+        )
+        texture.data = np.repeat(picture[..., None], 3, axis=-1).tobytes()
+        material = spec.add_material(name=BOARD, specular=0.0, shininess=0.0)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = BOARD
+        pose = options.mount.pose
+        body = parent.add_body(name=BOARD, pos=pose.translation, quat=xyzw_to_wxyz(pose.quaternion))
+        body.add_geom(
+            name=BOARD,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[width / 2, height / 2, THICKNESS / 2],
+            pos=[0.0, 0.0, -THICKNESS / 2],
+            mass=1e-3,
+            material=BOARD,
+            group=0,
+        )
 
 
 def board_setup(
@@ -51,7 +128,7 @@ def board_setup(
         InvalidSetup: The camera cannot be calibrated with this robot.
     """
     setup = Setup(
-        task="rcs.tasks.show_board:ShowBoard",
+        task="rcs.setups.board_setup:ShowBoard",
         robot=robot,
         cameras=Cameras(names=camera, calibration=calibration, image_size=image_size or USUAL_SIZE),
         relative="absolute",
@@ -64,13 +141,7 @@ def board_setup(
         setup = replace(setup, cameras=replace(setup.cameras, image_size=(seen.width, seen.height)))
     known = at or KnownBoard(board=board or Board(), mount=_place(robot, mounted, board or Board()))
     is_held = known.on_gripper_of is not None if at is not None else mounted.arrangement == "eye-to-hand"
-    pose = known.mount.pose
-    (x, y, z), (roll, pitch, yaw) = (tuple(float(value) for value in part) for part in (pose.translation, pose.rpy))
-    options = ShowBoardOptions(
-        **known.board.to_json(),
-        on="gripper" if is_held else "scene",
-        x=x, y=y, z=z, roll=roll, pitch=pitch, yaw=yaw,
-    )  # fmt: skip
+    options = ShowBoardOptions(board=known.board, on="gripper" if is_held else "scene", mount=known.mount)
     return replace(setup, task_options=options.to_json())
 
 

@@ -20,27 +20,19 @@ if TYPE_CHECKING:
 EPISODE_STEPS = 300
 """Gymnasium truncates an episode after this many steps; `gymnasium.make(..., max_episode_steps=...)` changes it."""
 
+ROBOTS = {
+    "fr3": ("FR3", ("Free", "PickCuboid", "Place", "StackCuboid", "Push")),
+    "dual_fr3": ("DualFR3", ("Free", "LiftBar")),
+    "so101": ("SO101", ("Free", "PickCuboid", "Place", "StackCuboid", "Push")),
+    "ur5e": ("UR5e", ("Free", "PickCuboid", "Place", "StackCuboid", "Push")),
+    "xarm7": ("XArm7", ("Free", "PickToy", "Push")),
+}
+"""Word in ids, and tasks, of the robots of this package."""
+
 BUILT_IN = {
-    "rcs/FR3-v0": ("Free", "fr3"),
-    "rcs/PickCuboid-FR3-v0": ("PickCuboid", "fr3"),
-    "rcs/Place-FR3-v0": ("Place", "fr3"),
-    "rcs/StackCuboid-FR3-v0": ("StackCuboid", "fr3"),
-    "rcs/DualFR3-v0": ("Free", "dual_fr3"),
-    "rcs/LiftBar-DualFR3-v0": ("LiftBar", "dual_fr3"),
-    "rcs/SO101-v0": ("Free", "so101"),
-    "rcs/PickCuboid-SO101-v0": ("PickCuboid", "so101"),
-    "rcs/Place-SO101-v0": ("Place", "so101"),
-    "rcs/StackCuboid-SO101-v0": ("StackCuboid", "so101"),
-    "rcs/UR5e-v0": ("Free", "ur5e"),
-    "rcs/PickCuboid-UR5e-v0": ("PickCuboid", "ur5e"),
-    "rcs/Place-UR5e-v0": ("Place", "ur5e"),
-    "rcs/StackCuboid-UR5e-v0": ("StackCuboid", "ur5e"),
-    "rcs/XArm7-v0": ("Free", "xarm7"),
-    "rcs/PickToy-XArm7-v0": ("PickToy", "xarm7"),
-    "rcs/Push-FR3-v0": ("Push", "fr3"),
-    "rcs/Push-SO101-v0": ("Push", "so101"),
-    "rcs/Push-UR5e-v0": ("Push", "ur5e"),
-    "rcs/Push-XArm7-v0": ("Push", "xarm7"),
+    f"rcs/{word}-v0" if task == "Free" else f"rcs/{task}-{word}-v0": (task, robot)
+    for robot, (word, tasks) in ROBOTS.items()
+    for task in tasks
 }
 """Task and robot of the ids of this package."""
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field
 
-from rcs_data.record import Record, converted
+from rcs_data.options import Record, converted
 
 from rcs.devices import lookup
 from rcs.envs.task import Area
 from rcs.errors import InvalidSetup, UnknownName
-from rcs.robots.camera_mount import CameraMount, looking
+from rcs.robots.camera import CameraMount, looking
 from rcs.robots.description import ArmDescription, Mount
 from rcs.robots.mount import Obstacle
 
@@ -46,6 +46,8 @@ class Lab(Record):
     """Camera mounts by name."""
     obstacles: Mapping[str, Obstacle] = field(default_factory=dict[str, Obstacle])
     """Boxes that stand still, by name; robots collide with them, and planners and guards know them."""
+    about: str = ""
+    """The lab in a sentence, for people."""
 
 
 def lab_of(robot: str | Mapping[str, str]) -> Lab:

@@ -10,7 +10,7 @@ from itertools import takewhile
 from typing import Any, Literal, ParamSpec, TypeVar
 
 from gymnasium.vector import AutoresetMode
-from rcs_data.record import accepted, converted
+from rcs_data.options import accepted, converted
 
 from rcs.devices import lookup
 from rcs.envs.assemble import assemble, assemble_vec

@@ -9,9 +9,9 @@ from rcs.calibration.rig import Arrangement
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.kinematics import kinematics_of
-from rcs.robots.calibration import CameraCalibration
+from rcs.robots.camera import Calibration
 from rcs.robots.description import Mount
-from rcs.setups.calibration import Calibration, KnownBoard
+from rcs.setups.calibration import KnownBoard
 from rcs.setups.make import resolve
 from rcs.sim.scene import CameraPlacement, RobotPlacement
 from rcs.spatial import Intrinsics, Pose
@@ -94,7 +94,8 @@ class MountedCamera:
         rows = [[float(value) for value in row] for row in found.covariance]
         return Calibration(
             optical=Mount.of(self._parent_in_mount.inverse() * found.camera_in_mount),
-            camera=CameraCalibration(intrinsics=intrinsics, pose_covariance=tuple(map(tuple, rows))),
+            intrinsics=intrinsics,
+            pose_covariance=tuple(map(tuple, rows)),
         )
 
     def known_board(self, found: HandEye, board: Board) -> KnownBoard:

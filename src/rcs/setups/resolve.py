@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
+
+import mujoco
+import numpy as np
 
 from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
 from rcs.envs.cameras import ALL
@@ -18,16 +21,21 @@ from rcs.envs.task import Task
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.hardware.devices import Devices
 from rcs.hardware.site import DeviceAddress, Site
-from rcs.kinematics.chain import damped
+from rcs.kinematics.chain import damped, load
+from rcs.robots.camera import CameraDescription, ResolutionMode
+from rcs.robots.cameras import PINHOLE, RATES
 from rcs.robots.compliance import Compliance
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.robots.description import ArmDescription, Description, GripperDescription, HandDescription, Mount
 from rcs.robots.tactile import TactileDescription
 from rcs.setups.calibration import calibrated
 from rcs.setups.lab import Lab, Stand, lab_of
-from rcs.sim.own_cameras import cameras_of
 from rcs.sim.scene import CameraPlacement, RobotPlacement
 from rcs.sim.tactile_mounts import TactilePlacement, on_pads
-from rcs.tasks.distractors import Distractors
+from rcs.spatial import Pose, wxyz_to_xyzw
+from rcs.tasks.clutter import Distractors
+
+CAMERA_IN_OPTICAL = Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+"""MuJoCo's cameras look along -z with y up, the optical frame has z forward and y down: half a turn about x."""
 
 NO_END_EFFECTOR = "none"
 """Stands for a bare flange."""
@@ -103,9 +111,7 @@ def _feel(name: str | None, robot: RobotPlacement) -> tuple[TactilePlacement, ..
     if robot.gripper is None:
         carried = robot.end_effector.label if robot.end_effector is not None else "A bare flange"
         raise InvalidSetup(
-            f"{carried} has no pads for {sensor.label} to take the place of; "
-            f"{', '.join(lookup.names('gripper'))} have. "
-            "On fingertips of a hand it goes in a scene of your own: rcs.sim.tactile_mounts.on_fingertips."
+            f"{carried} has no pads for {sensor.label} to take the place of; {', '.join(lookup.names('gripper'))} have."
         )
     return on_pads(robot, sensor)
 
@@ -255,3 +261,67 @@ def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:
     large = large or [mode for mode in camera.camera.modes if rate in mode.rates]
     mode = min(large, key=lambda mode: mode.width * mode.height)
     return CameraMode(mode.width, mode.height, rate, setup.cameras.depth)
+
+
+def cameras_of(robots: Sequence[RobotPlacement]) -> dict[str, CameraPlacement]:
+    """Return the cameras that the files of arms and end effectors define, by name.
+
+    A camera is fixed to its body at the pose that the file says, with the file's `fovy`, or the one that follows from
+    `focal` and `sensorsize`. With several robots, `<robot>_` stands before its name. Cameras without a name are left
+    out.
+
+    Args:
+        robots: The robots of a scene.
+
+    Raises:
+        InvalidSetup: Two cameras have the same name, or one of them turns by itself or is not an ideal one.
+    """
+    found: dict[str, CameraPlacement] = {}
+    for robot in robots:
+        parts = [(robot.prefix, robot.arm), (robot.gripper_prefix, robot.end_effector)]
+        for prefix, part in parts:
+            for name, camera in () if part is None else _cameras_in(part, prefix):
+                known = name if len(robots) == 1 else f"{robot.name}_{name}"
+                if known in found:
+                    raise InvalidSetup(f"Robot {robot.name!r} has two cameras named {name!r}; rename one in its file.")
+                found[known] = replace(camera, name=known)
+    return found
+
+
+def _cameras_in(part: Description, prefix: str) -> Iterator[tuple[str, CameraPlacement]]:
+    """Yield the cameras in the file of a part, with a prefix before their names."""
+    spec = load(part)
+    if not spec.cameras:
+        return
+    model = spec.compile()
+    for i in range(model.ncam):
+        if not (name := model.camera(i).name.replace("/", "_")):
+            continue
+        if model.cam_mode[i] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
+            raise InvalidSetup(f"Camera {name!r} in {part.mjcf_file} turns by itself; valid is mode='fixed'.")
+        if model.cam_intrinsic[i, 2:].any() or model.cam_projection[i] != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
+            raise InvalidSetup(
+                f"Camera {name!r} in {part.mjcf_file} is orthographic or its principal point is not in the middle of "
+                "the image; drawn are perspective images about their middle."
+            )
+        # A camera in the file's world moves with the base, which has no pose there.
+        body = model.body(int(model.cam_bodyid[i])).name if model.cam_bodyid[i] else part.base_body
+        optical = Pose(model.cam_pos[i], wxyz_to_xyzw(model.cam_quat[i])) * CAMERA_IN_OPTICAL
+        camera = _description(name, model, i)
+        yield (
+            name,
+            CameraPlacement(
+                name=name,
+                camera=camera,
+                parent_body=prefix + body,
+                optical_in_parent=Mount.of(optical),
+            ),
+        )
+
+
+def _description(name: str, model: mujoco.MjModel, i: int) -> CameraDescription:
+    width, height = (int(edge) for edge in model.cam_resolution[i])
+    camera = replace(PINHOLE, name=name, label=f"Camera {name}", fovy=float(np.deg2rad(model.cam_fovy[i])))
+    if width == 1:  # the file gives no resolution
+        return camera
+    return replace(camera, native_aspect=width / height, modes=(ResolutionMode(width, height, RATES),))

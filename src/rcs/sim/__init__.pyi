@@ -5,8 +5,6 @@ from rcs.sim.scene import CameraPlacement as CameraPlacement
 from rcs.sim.scene import RobotPlacement as RobotPlacement
 from rcs.sim.scene import Scene as Scene
 from rcs.sim.tactile import SimTactile as SimTactile
-from rcs.sim.tactile_mounts import on_fingertips as on_fingertips
 from rcs.sim.tactile_mounts import on_pads as on_pads
-from rcs.sim.viewer import Viewer as Viewer
 from rcs.sim.world import Stepping as Stepping
 from rcs.sim.world import World as World

@@ -257,10 +257,17 @@ class SimCameras:
         if self.world.leading:
             threads = min(self.world.core.threads, RenderPool.MOST_THREADS)
             self._renderer = RenderPool(
-                self.world.model, threads=threads, quality=self._quality, max_width=width, max_height=height
+                self.world.model,
+                threads=threads,
+                quality=self._quality,
+                max_width=width,
+                max_height=height,
+                is_rasterised=True,
             )
         else:
-            self._renderer = Renderer(self.world.model, quality=self._quality, max_width=width, max_height=height)
+            self._renderer = Renderer(
+                self.world.model, quality=self._quality, max_width=width, max_height=height, is_rasterised=True
+            )
         return self._renderer
 
     def close(self) -> None:

@@ -1,5 +1,9 @@
 """Frames of simulated cameras, delivered as by devices: a new one when it is due, the last one in between.
 
+Each camera has frames at its own rate, in simulated time since the episode's start; one that is due between two control
+steps appears at the later one. Rates are ratios of integers, so a camera of 30 frames/s has exactly 30 frames in each
+second at 100 control steps/s, however long the episode.
+
 A `CameraFeed` draws within a step and a `RenderThread` beside it. `DelayedFrames` holds their frames back, as the bus
 and the driver of a real camera do.
 """
@@ -10,21 +14,124 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.options import NotNegative, Positive, Record
 
 from rcs.errors import InvalidSetup
 from rcs.sim.camera import FrameArrays, SimCameras, Snapshot
-from rcs.sim.frame_clock import FrameClock
-from rcs.sim.pixels import PixelFeed
 from rcs.sim.splitmix import branch, numbered
-from rcs.sim.world import World
+from rcs.sim.world import Copies, World
+
+if TYPE_CHECKING:  # stacks of frames have this clock, too
+    from rcs.sim.pixels import PixelFeed
 
 ROUNDING = 1e-9
 """Sums of physics steps are not exact; a frame that is due this much later has arrived [s]."""
+
+
+class FrameRate(Record):
+    """The frame rate of a camera."""
+
+    fps: Positive
+    """Frames per second."""
+    longest_exposure: NotNegative = 0.0
+    """If this exceeds the frame period, intervals are uniformly distributed between the two [s]."""
+
+    @property
+    def is_rolling(self) -> bool:
+        """True if intervals differ from frame to frame."""
+        return self.longest_exposure > 1.0 / self.fps
+
+
+class FrameClock:
+    """Tracks which cameras of which copies have a new frame. Episodes begin with one."""
+
+    memory = ("numbers", "_start_times", "_next_times")
+
+    def __init__(self, world: World, rates: Mapping[str, FrameRate]) -> None:
+        """Start counting.
+
+        Args:
+            world: The world whose time counts.
+            rates: The rate of each camera, by name.
+        """
+        self._world = world
+        self._is_synchronous = world.stepping == "sync"
+        step = Fraction(world.model.opt.timestep).limit_denominator(10**9)
+        frequency = Fraction(world.frequency).limit_denominator(10**6)
+        # Synchronous steps vary in length, so physics steps are counted instead.
+        tick = step if self._is_synchronous else 1 / frequency
+        self._tick = float(tick)
+        self._rates = dict(rates)
+        self._frames_per_tick = {
+            name: Fraction(rate.fps).limit_denominator(10**6) * tick for name, rate in rates.items()
+        }
+        copies = world.copies
+        self.numbers = {name: np.full(copies, -1, np.int64) for name in rates}
+        """Number of the newest frame since the start of the episode, (copies,), counted from 0 as by the device."""
+        self.steps: NDArray[np.int64] = world.core.steps
+        """Control steps since the start of each copy's episode, (copies,): live counts of the world. A program that
+        shows recorded states replaces them by its own."""
+        self.keys = np.zeros(copies, np.uint64)
+        """Random bits of the present episodes, (copies,)."""
+        self._start_times = np.zeros(copies)
+        rolling = [name for name, rate in rates.items() if rate.is_rolling]
+        self._next_times = {name: np.zeros(copies) for name in rolling}
+
+    def begin(self, keys: NDArray[np.uint64], copies: Copies = None) -> None:
+        """Start episodes.
+
+        Args:
+            keys: Random bits for the intervals of cameras with varying rate, one per copy.
+            copies: The copies; None for all.
+        """
+        self.keys[slice(None) if copies is None else copies] = keys
+
+    def has_frame_each_step(self, name: str) -> bool:
+        """Return whether a camera has a new frame after every control step."""
+        if self._is_synchronous:
+            return False
+        return self._frames_per_tick[name] >= 1 and self._rates[name].longest_exposure <= self._tick
+
+    def take(self) -> dict[str, NDArray[np.bool_]]:
+        """Return which copies have a new frame since the last call, (copies,) for each camera."""
+        # Also without `begin`, in a world that is reset by hand.
+        starts = self.steps == 0
+        ticks = self._count_physics_steps(starts) if self._is_synchronous else self.steps
+        is_new: dict[str, NDArray[np.bool_]] = {}
+        for name, rate in self._rates.items():
+            if rate.is_rolling:
+                numbers = self._roll(name, ticks, starts)
+            else:
+                ratio = self._frames_per_tick[name]
+                numbers = ticks * ratio.numerator // ratio.denominator
+            is_new[name] = starts | (numbers != self.numbers[name])
+            self.numbers[name] = numbers
+        return is_new
+
+    def _count_physics_steps(self, starts: NDArray[np.bool_]) -> NDArray[np.int64]:
+        times = np.atleast_1d(self._world.time)
+        self._start_times[starts] = times[starts]
+        return np.rint((times - self._start_times) / self._tick).astype(np.int64)
+
+    def _roll(self, name: str, ticks: NDArray[np.int64], starts: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return the numbers of the newest frames of a camera whose intervals differ."""
+        next_times, numbers = self._next_times[name], self.numbers[name].copy()
+        numbers[starts], next_times[starts] = -1, 0.0
+        now = ticks * self._tick
+        while len(late := np.flatnonzero(next_times <= now)):
+            numbers[late] += 1
+            next_times[late] += self._intervals(name, numbers[late], self.keys[late])
+        return numbers
+
+    def _intervals(self, name: str, numbers: NDArray[np.int64], keys: NDArray[np.uint64]) -> NDArray[np.float64]:
+        """Return the intervals of frames [s], determined by episode, camera name and frame number."""
+        shortest, longest = 1.0 / self._rates[name].fps, self._rates[name].longest_exposure
+        return shortest + (longest - shortest) * numbered(branch(keys, name), numbers)
 
 
 class CameraFeed:
@@ -178,17 +285,13 @@ class RenderThread:
         self._cameras.close()
 
 
-@dataclass(frozen=True)
-class _Frame:
-    """Frames of a camera after one step. Times are (copies,)."""
+class _Frame(NamedTuple):
+    """Frames of a camera after one step."""
 
     arrays: FrameArrays
-    captured: NDArray[np.float64]
-    """When each copy was as its frame shows it [s], simulated time; in real time, on the host's monotonic clock."""
-    arrives: NDArray[np.float64]
-    """When it can be seen [s]."""
-    drawn: NDArray[np.float64]
-    """When it was drawn [s], on the host's monotonic clock."""
+    times: NDArray[np.float64]
+    """When each copy was as its frame shows it [s], in simulated time or on the host's monotonic clock; when the frame
+    can be seen; and when it was drawn, on the host's clock; (3, copies)."""
 
 
 class DelayedFrames:
@@ -241,10 +344,9 @@ class DelayedFrames:
         waiting = self._waiting.setdefault(name, [])
         waiting.insert(0, self._take(name, arrays, now, latency, waiting[0] if waiting else None))
         # For each copy, the first one that has arrived. That of an episode's start always has, before those of others.
-        chosen = np.stack([one.arrives <= now + ROUNDING for one in waiting]).argmax(axis=0)
+        chosen = np.stack([one.times[1] <= now + ROUNDING for one in waiting]).argmax(axis=0)
         del waiting[int(chosen.max()) + 1 :]
-        captured = _pick([one.captured for one in waiting], chosen)
-        drawn = _pick([one.drawn for one in waiting], chosen)
+        captured, _, drawn = np.take_along_axis(np.stack([one.times for one in waiting]), chosen[None, None], axis=0)[0]
         leading = self._world.leading
         self.ages[name] = (now - captured).reshape(leading)
         self.capture_times[name] = drawn if leading else float(drawn[0])
@@ -260,25 +362,17 @@ class DelayedFrames:
         latency: NDArray[np.float64],
         before: _Frame | None,
     ) -> _Frame:
-        is_start = np.array(self._clock.steps == 0)
+        is_start = np.array(self._clock.steps == 0) | (before is None)
         numbers = self._clock.numbers[name].copy()
         drawn = np.full(len(now), self._feed.capture_times[name])
         captured = drawn if self._is_real else now
-        if before is None:
-            is_start[:] = is_new = True
-        elif self._is_real:
-            is_new = is_start | (drawn != before.drawn)
-        else:
-            is_new = is_start | (numbers != self._numbers[name])
-        self._numbers[name] = numbers
         arrives = captured + np.reshape(latency, -1) + self._jitter * self._drawn_jitter(name, numbers)
-        arrives = np.where(is_start, -np.inf, arrives)
+        times = np.stack([captured, np.where(is_start, -np.inf, arrives), drawn])
         if before is not None:
-            captured, arrives, drawn = (
-                np.where(is_new, mine, last)
-                for mine, last in ((captured, before.captured), (arrives, before.arrives), (drawn, before.drawn))
-            )
-        return _Frame(arrays, captured, arrives, drawn)
+            has_new = drawn != before.times[2] if self._is_real else numbers != self._numbers[name]
+            times = np.where(is_start | has_new, times, before.times)
+        self._numbers[name] = numbers
+        return _Frame(arrays, times)
 
     def _drawn_jitter(self, name: str, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return a number 0 … 1 for each copy, determined by episode, camera and frame."""

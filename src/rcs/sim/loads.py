@@ -1,4 +1,4 @@
-"""Forces on a simulated robot: measurements of its sensors, and its reaction to collisions."""
+"""Forces on a simulated arm: measurements of its sensors, and its reaction to collisions."""
 
 from __future__ import annotations
 
@@ -7,13 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs._core import ArmBody, ArmLoads, CollisionReaction, FingerContacts
-from rcs.errors import InvalidSetup
-from rcs.robots.collision_limits import CollisionLimits
+from rcs._core import ArmBody, ArmLoads, CollisionReaction
+from rcs.robots.description import CollisionLimits
 from rcs.sim.robot import SimRobot
-
-TOUCH_FORCE = 0.5
-"""Least normal force of a finger that counts as contact [N] (ManiSkill's PickCube)."""
 
 _WRENCH = ("force along x", "force along y", "force along z", "moment about x", "moment about y", "moment about z")
 
@@ -40,42 +36,6 @@ class SimLoads:
         """
         first = self._first + self._dof
         return self._world.measurements[..., first : first + 6].copy()
-
-
-class SimContacts:
-    """Contacts of a robot's fingers, and grasps, in every copy."""
-
-    def __init__(self, robot: SimRobot) -> None:
-        """Start to measure the contacts of a gripper's pads, or of a hand's fingers.
-
-        Raises:
-            InvalidSetup: The robot has neither.
-        """
-        world, placement = robot.world, robot.placement
-        if placement.gripper is not None:
-            fingers = list(placement.gripper.pad_geoms)
-        elif placement.hand is not None:
-            fingers = list(placement.hand.finger_geoms.values())
-        else:
-            raise InvalidSetup(f"Robot {placement.name!r} has no fingers whose contacts could be observed.")
-        prefix = placement.gripper_prefix
-        flags = [world.geom_flags(prefix + name for name in names) for names in fingers]
-        own = world.subtree_flags(placement.base_body)[: world.model.ngeom]
-        self.fingers = len(fingers)
-        """Number of fingers."""
-        self._world = world
-        self._first = world.core.measure(FingerContacts(world.model, flags, own, TOUCH_FORCE))
-
-    @property
-    def touches(self) -> NDArray[np.uint8]:
-        """1 for fingers that touch something other than the robot itself, else 0, (*leading, fingers)."""
-        return self._world.measurements[..., self._first : self._first + self.fingers].astype(np.uint8)
-
-    @property
-    def is_grasped(self) -> NDArray[np.uint8]:
-        """1 where two fingers touch the same movable object, else 0, (*leading, 1)."""
-        last = self._first + self.fingers
-        return self._world.measurements[..., last : last + 1].astype(np.uint8)
 
 
 class CollisionGuard:

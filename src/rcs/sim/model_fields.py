@@ -10,7 +10,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from rcs_data.record import Natural, Record
+from rcs_data.options import Natural, Record
 
 from rcs.errors import InvalidSetup, UnknownName
 

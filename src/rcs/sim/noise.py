@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs._core import add_colour_noise, measure_stereo
-from rcs.robots.description import CameraDescription
+from rcs.robots.camera import CameraDescription
 
 COLOUR_DEVIATION = 2.0
 """Standard deviation of a colour value [of 255]: a small sensor in indoor light."""

@@ -8,10 +8,10 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from rcs_data.record import Meta, Record, Whole
+from rcs_data.options import Meta, Record, Whole
 
 from rcs._core import PixelCameras
-from rcs.sim.frame_clock import FrameClock
+from rcs.sim.camera_feed import FrameClock
 from rcs.sim.optics import Optics
 from rcs.sim.scene import CameraPlacement
 from rcs.sim.world import World

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
-from rcs_data.record import Meta, NotNegative, Positive, Record, Share
+from rcs_data.options import Meta, NotNegative, Positive, Record, Share
 
 from rcs.errors import InvalidSetup
 from rcs.sim.model_fields import FieldRange
@@ -33,7 +33,7 @@ class Randomisation(Record):
     Each field draws from its own stream, so switching one on or off does not change others.
     """
 
-    # Written by envs/variation/looks.py.
+    # Written by envs/variation/scene.py.
     light_intensity: Factors = _presets((1, 1), mild=(0.75, 1.25), default=(0.5, 1.5), strong=(0.3, 2.0))
     """Factor on the brightness of each light."""
     light_direction: Share = _presets(0.0, mild=0.15, default=0.3, strong=0.6)
@@ -54,7 +54,6 @@ class Randomisation(Record):
     """Largest turn of each camera about each axis of its optical frame [rad]."""
     field_of_view: Factors = _presets((1, 1), mild=(0.985, 1.015), default=(0.97, 1.03), strong=(0.95, 1.05))
     """Factor on the vertical field of view of each camera."""
-    # Written by envs/variation/objects.py.
     object_size: Factors = _presets((1, 1), mild=(0.95, 1.05), default=(0.9, 1.1), strong=(0.85, 1.15))
     """Factor on the size of each object of simple or soft shapes; mass and material stay the same."""
     object_mass: Factors = _presets((1, 1), mild=(0.75, 1.5), default=(0.5, 2.0), strong=(0.4, 3.0))
@@ -93,7 +92,7 @@ class Randomisation(Record):
     frame_jitter: Share = _presets(0.0, mild=0.002, default=0.005, strong=0.01)
     """Largest time that a single frame takes longer than that [s]. Frames of a D455 at 30 Hz come up to 4 ms early or
     late (librealsense, issue 14957)."""
-    # Written by tasks/distractors.py.
+    # Written by tasks/clutter.py.
     distractors: Count = _presets(0, mild=0, default=0, strong=4)
     """Number of objects on the table that do not belong to the task; of random size, colour and place."""
     fields: tuple[FieldRange, ...] = _presets((), mild=(), default=(), strong=())
@@ -125,26 +124,18 @@ class Randomisation(Record):
         return cls(**{**_preset("none"), **ranges})
 
     @classmethod
-    def mild(cls) -> Self:
-        """Return about half the default ranges."""
-        return cls(**_preset("mild"))
-
-    @classmethod
-    def strong(cls) -> Self:
-        """Return about twice the default ranges, with four distractors; experts still succeed."""
-        return cls(**_preset("strong"))
-
-    @classmethod
     def of(cls, preset: str) -> Self | None:
         """Return the ranges of a preset; None for `none`.
+
+        `mild` has about half the default ranges; `strong` has about twice them and four distractors, and experts still
+        succeed.
 
         Raises:
             InvalidSetup: There is no such preset.
         """
-        presets = {"none": lambda: None, "mild": cls.mild, "default": cls, "strong": cls.strong}
-        if preset not in presets:
-            raise InvalidSetup(f"randomisation is {preset!r}; valid names: {', '.join(map(repr, presets))}.")
-        return presets[preset]()
+        if preset not in get_args(Preset):
+            raise InvalidSetup(f"randomisation is {preset!r}; valid names: {', '.join(map(repr, get_args(Preset)))}.")
+        return None if preset == "none" else cls(**({} if preset == "default" else _preset(preset)))
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:

@@ -38,14 +38,11 @@ class RobotLayout:
     base_body: int
     tcp_site: int
     finger_joint_ids: list[int]
+    """Joints of the gripper or hand; none without one, as for the rest."""
+    finger_actuator_ids: list[int]
     finger_qpos: Index
     finger_qvel: Index
-    finger_actuator: int
-    """Control index of the gripper, -1 without one."""
-    hand_joint_ids: list[int]
-    hand_actuator_ids: list[int]
-    hand_qpos: Index
-    hand_ctrl: Index
+    finger_ctrl: Index
 
     @staticmethod
     def of(robot: RobotPlacement, model: mujoco.MjModel) -> RobotLayout:
@@ -54,7 +51,8 @@ class RobotLayout:
         Raises:
             InvalidSetup: The robot is not in the model.
         """
-        gripper, hand, prefix = robot.gripper, robot.hand, robot.gripper_prefix
+        effector, prefix = robot.end_effector, robot.gripper_prefix
+        drives = () if effector is None else effector.actuators
 
         def ids(find: Any, prefix: str, names: Iterable[str]) -> list[int]:
             return [find(prefix + name).id for name in names]
@@ -62,10 +60,8 @@ class RobotLayout:
         try:
             joints = ids(model.joint, robot.prefix, robot.arm.joints)
             actuators = ids(model.actuator, robot.prefix, robot.arm.actuators)
-            fingers = ids(model.joint, prefix, gripper.joints if gripper is not None else ())
-            drives = ids(model.actuator, prefix, [gripper.actuator] if gripper is not None else ())
-            hand_joints = ids(model.joint, prefix, hand.joints if hand is not None else ())
-            hand_actuators = ids(model.actuator, prefix, hand.actuators if hand is not None else ())
+            fingers = ids(model.joint, prefix, () if effector is None else effector.joints)
+            finger_actuators = ids(model.actuator, prefix, drives)
             base = model.body(robot.base_body).id
             tcp = model.site(robot.tcp_site).id
             motion = int(model.numeric(robot.motion).data[0])
@@ -80,13 +76,10 @@ class RobotLayout:
             base_body=base,
             tcp_site=tcp,
             finger_joint_ids=fingers,
+            finger_actuator_ids=finger_actuators,
             finger_qpos=_index(model.jnt_qposadr[fingers]),
             finger_qvel=_index(model.jnt_dofadr[fingers]),
-            finger_actuator=drives[0] if drives else -1,
-            hand_joint_ids=hand_joints,
-            hand_actuator_ids=hand_actuators,
-            hand_qpos=_index(model.jnt_qposadr[hand_joints]),
-            hand_ctrl=_index(np.array(hand_actuators)),
+            finger_ctrl=_index(np.array(finger_actuators)),
         )
 
 
@@ -180,13 +173,12 @@ class SimRobot:
     def hand_joints(self) -> NDArray[np.float32]:
         """Measured joints of the hand, normalised to 0 … 1, (*leading, n)."""
         lower, upper = np.array(self.hand.joint_lower), np.array(self.hand.joint_upper)
-        normalised = (self.world.qpos[..., self.layout.hand_qpos] - lower) / (upper - lower)
+        normalised = (self.world.qpos[..., self.layout.finger_qpos] - lower) / (upper - lower)
         return np.clip(normalised, 0.0, 1.0).astype(np.float32)
 
     def command_hand(self, joints: NDArray[np.floating]) -> None:
         """Set the targets of the hand's joints, normalised to 0 … 1, (*leading, n)."""
-        lower, upper = np.array(self.hand.joint_lower), np.array(self.hand.joint_upper)
-        self.world.ctrl[..., self.layout.hand_ctrl] = lower + joints * (upper - lower)
+        self.world.ctrl[..., self.layout.finger_ctrl] = self.hand.joints_of(joints)
 
     def command_joints(self, joints: NDArray[np.float64]) -> None:
         """Set the joint targets [rad], (*leading, dof); the arm moves there within its limits."""
@@ -221,18 +213,19 @@ class SimRobot:
         """Set the gripper's opening, 0 closed … 1 open, (*leading, 1)."""
         if self._opening is None:
             raise InvalidSetup(f"Robot {self.placement.name!r} has no gripper.")
-        self.world.ctrl[..., self.layout.finger_actuator] = self._closed + opening[..., 0] * self._span
+        self.world.ctrl[..., self.layout.finger_ctrl] = self._closed + opening * self._span
 
     def go_home(self) -> None:
-        """Put every copy at the home pose with an open gripper, at rest, by writing the state (no motion)."""
+        """Put every copy at the home pose with open fingers, at rest, by writing the state (no motion)."""
         self._place(np.array(self.placement.arm.home))
-        if self.placement.gripper is not None:
-            self.world.qpos[..., self.layout.finger_qpos] = np.array(self.placement.gripper.joint_open)
-            self.world.qvel[..., self.layout.finger_qvel] = 0.0
-            self.world.ctrl[..., self.layout.finger_actuator] = self.placement.gripper.ctrl_open
-        if self.placement.hand is not None:
-            self.command_hand(np.array(self.hand.open_pose))
-            self.world.qpos[..., self.layout.hand_qpos] = self.world.ctrl[..., self.layout.hand_ctrl]
+        if (effector := self.placement.end_effector) is not None:
+            self._place_fingers(np.array(effector.joint_open), np.array(effector.ctrl_open))
+
+    def _place_fingers(self, joints: NDArray[np.floating], ctrl: NDArray[np.floating], copies: Copies = None) -> None:
+        world, layout = self.world, self.layout
+        world.qpos[_at(layout.finger_qpos, copies)] = joints
+        world.qvel[_at(layout.finger_qvel, copies)] = 0.0
+        world.ctrl[_at(layout.finger_ctrl, copies)] = ctrl
 
     def put(
         self,
@@ -254,18 +247,10 @@ class SimRobot:
             InvalidSetup: There is an opening but no gripper, or joints of a hand but no hand.
         """
         self._place(joints, copies)
-        qpos, qvel, ctrl, layout = self.world.qpos, self.world.qvel, self.world.ctrl, self.layout
         if opening is not None:
-            closed, opened = np.array(self.gripper.joint_closed), np.array(self.gripper.joint_open)
-            qpos[_at(layout.finger_qpos, copies)] = closed + opening * (opened - closed)
-            qvel[_at(layout.finger_qvel, copies)] = 0.0
-            ctrl[_at(slice(layout.finger_actuator, layout.finger_actuator + 1), copies)] = (
-                self._closed + opening * self._span
-            )
+            self._place_fingers(self.gripper.joints_of(opening), self._closed + opening * self._span, copies)
         if hand is not None:
-            lower, upper = np.array(self.hand.joint_lower), np.array(self.hand.joint_upper)
-            ctrl[_at(layout.hand_ctrl, copies)] = lower + hand * (upper - lower)
-            qpos[_at(layout.hand_qpos, copies)] = ctrl[_at(layout.hand_ctrl, copies)]
+            self._place_fingers(self.hand.joints_of(hand), self.hand.joints_of(hand), copies)
 
     def wait_for_arrival(self, latency: float = 0.0) -> None:
         """End synchronous steps of the world only when the arm has arrived and the fingers are at rest.
@@ -275,8 +260,7 @@ class SimRobot:
         """
         core = self.world.core
         core.converge_when(self.motion)
-        fingers = self.layout.finger_joint_ids or self.layout.hand_joint_ids
-        if fingers:
+        if fingers := self.layout.finger_joint_ids:
             core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME + latency, self.world.copies))
 
     def set_load(self, mass: ArrayLike, center_in_flange: ArrayLike = (0.0, 0.0, 0.0)) -> None:
@@ -325,7 +309,7 @@ class SimRobot:
         """
         gripper = self.gripper
         mapping = GripperMap(gripper.joint_closed[0], gripper.joint_open[0], gripper.ctrl_closed, gripper.ctrl_open)
-        fingers, actuator = self.layout.finger_joint_ids, self.layout.finger_actuator
+        fingers, actuator = self.layout.finger_joint_ids, self.layout.finger_actuator_ids[0]
         name = f"{self.placement.name} gripper"
         return SimGripper(name, gripper.max_width, gripper.max_force, self.world.core, copy, fingers, actuator, mapping)
 

@@ -1,23 +1,34 @@
-"""Changes to a robot's model in a scene: servos that give way to a push, and a body that carries a load."""
+"""A robot's model in a scene: servos that give way to a push, a body that carries a load, and checks of its weight."""
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from rcs._core import Springs
+from rcs.errors import InvalidSetup
 from rcs.kinematics.chain import damped, flange_frame
 from rcs.robots.description import ArmDescription
+from rcs.spatial import Pose, wxyz_to_xyzw
 
-if TYPE_CHECKING:  # a scene has its arms give way
+if TYPE_CHECKING:  # a scene changes and checks its robots
     from rcs.sim.scene import RobotPlacement
 
 LOAD = "load"
 """Name of the body at a robot's flange that carries the compensation of a load (`SimRobot.set_load`)."""
 LOAD_MASS = 1e-6
 """Its mass [kg], too small for anything else to notice."""
+MAX_TCP_SAG = 0.002
+"""Sag of the TCP at home above which to warn [m]: from 2.3 mm on, scripted grasps fail (measured)."""
+MAX_JOINT_SAG = 0.005
+"""The same for a joint [rad]: 2 mm at a lever of 0.4 m."""
+BASE_TOLERANCE = 1e-6
+"""Tolerance of a base's pose for rounding [m, rad]."""
 
 
 def give_way(spec: mujoco.MjSpec, robot: RobotPlacement) -> None:
@@ -65,3 +76,80 @@ def add_load(spec: mujoco.MjSpec, arm: ArmDescription) -> None:
         explicitinertial=True,
         gravcomp=1.0,
     ).set_frame(flange)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sag:
+    """How far a robot sags below its home pose while its servos hold it."""
+
+    joints: NDArray[np.float64]
+    """Sag of each joint, (dof,) [rad]; infinite for a joint without a position servo."""
+    tcp: float
+    """Sag of the TCP [m]."""
+
+    @property
+    def is_small(self) -> bool:
+        """True if neither a joint nor the TCP sags noticeably."""
+        return bool(np.abs(self.joints).max() <= MAX_JOINT_SAG) and self.tcp <= MAX_TCP_SAG
+
+
+def check_robot(robot: RobotPlacement, model: mujoco.MjModel) -> None:
+    """Check that the base is where the robot was placed, and warn if its servos cannot carry its weight.
+
+    Args:
+        robot: The robot.
+        model: The compiled scene.
+
+    Raises:
+        InvalidSetup: Its base body has a pose in its file.
+    """
+    _require_base(robot, _at_home(robot, model))
+    sag = sag_of(robot, model)
+    if robot.compliance is None and not sag.is_small:
+        worst = int(np.abs(sag.joints).argmax())
+        warnings.warn(
+            f"Robot {robot.name!r} sags: while holding its home pose, joint {robot.arm.joints[worst]!r} gives way by  "
+            f"{abs(sag.joints[worst]):.3g} rad and the TCP by {1e3 * sag.tcp:.2g} mm, so that it misses what it "
+            f'reaches for. Add gravcomp="1" to every body in {robot.arm.mjcf_file} if its controller compensates '
+            "the weight, or raise the servos' gain (kp).",
+            stacklevel=3,
+        )
+
+
+def sag_of(robot: RobotPlacement, model: mujoco.MjModel) -> Sag:
+    """Return how far a robot sags at home: uncompensated weight over the servos' stiffness."""
+    data = _at_home(robot, model)
+    dofs = [int(model.joint(robot.prefix + name).dofadr[0]) for name in robot.arm.joints]
+    servos = [model.actuator(robot.prefix + name).id for name in robot.arm.actuators]
+    missing = (data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias)[dofs]
+    stiffness = -model.actuator_biasprm[servos, 1]
+    if (stiffness <= 0.0).any():  # without a position servo nothing holds the joint
+        return Sag(joints=np.where(stiffness > 0.0, 0.0, np.inf), tcp=np.inf)
+    jacobian = np.zeros((3, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian, None, model.site(robot.tcp_site).id)
+    joints = missing / stiffness
+    return Sag(joints=joints, tcp=float(np.linalg.norm(jacobian[:, dofs] @ joints)))
+
+
+def _at_home(robot: RobotPlacement, model: mujoco.MjModel) -> mujoco.MjData:
+    """Return data with the robot at rest at home and its targets there; forces are computed without contacts."""
+    data = mujoco.MjData(model)
+    for joint, actuator, q in zip(robot.arm.joints, robot.arm.actuators, robot.arm.home, strict=True):
+        data.joint(robot.prefix + joint).qpos[0] = data.actuator(robot.prefix + actuator).ctrl[0] = q
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_fwdVelocity(model, data)
+    mujoco.mj_fwdActuation(model, data)
+    return data
+
+
+def _require_base(robot: RobotPlacement, data: mujoco.MjData) -> None:
+    body = data.body(robot.base_body)
+    off = robot.base_in_scene.pose.inverse() * Pose(body.xpos, wxyz_to_xyzw(body.xquat))
+    distance, angle = np.linalg.norm(off.translation), np.linalg.norm(off.rotvec)
+    if max(distance, angle) > BASE_TOLERANCE:
+        raise InvalidSetup(
+            f"Robot {robot.name!r}: in {robot.arm.mjcf_file}, the body {robot.arm.base_body!r} is moved by "
+            f"{distance:.3g} m and turned by {np.degrees(angle):.3g} degrees. Its frame is the robot's base frame, so "
+            "the file must give it no pose. Remove its pos and quat; or, if the arm is to stand turned in its base "
+            "frame, put the body into a new outer one without a pose, and name that one as base_body."
+        )

@@ -15,14 +15,13 @@ import numpy as np
 from rcs._core import Trajectory
 from rcs.errors import InvalidSetup
 from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, compiled, load, mount_frame
-from rcs.robots.calibration import CameraCalibration
+from rcs.robots.camera import Calibration, CameraDescription
 from rcs.robots.compliance import Compliance
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
+from rcs.robots.description import ArmDescription, GripperDescription, HandDescription, Mount
 from rcs.robots.mount import Obstacle
 from rcs.sim.detail import Assets, exchange_visuals
 from rcs.sim.model_fields import FieldRange, prepare_model
-from rcs.sim.robot_check import check_robot
-from rcs.sim.robot_model import add_load, give_way
+from rcs.sim.robot_model import add_load, check_robot, give_way
 from rcs.sim.tactile_mounts import TactilePlacement, attach_tactile
 from rcs.sim.textures import add_wood
 
@@ -112,7 +111,7 @@ class CameraPlacement:
     """Body of the scene that carries it; `world` if it is fixed."""
     optical_in_parent: Mount
     """Pose of the optical frame (x right, y down, z forward) in the parent body's frame."""
-    calibration: CameraCalibration | None = None
+    calibration: Calibration | None = None
     """How it sees as calibrated; None for as in the data sheet."""
 
     @property

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.description import ArmDescription
-from rcs.sim.robot import RobotLayout
+from rcs.sim.robot import SimRobot
 from rcs.sim.scene import RobotPlacement, Scene
 from rcs.sim.world import World
 
@@ -78,45 +78,32 @@ class TimedArm:
 
     def __init__(self, world: World, robot: RobotPlacement, smoothing: float) -> None:
         """Look the arm up in a world, and put it at home with an open gripper."""
-        self.placement = robot
+        self.robot = SimRobot(world, robot, is_led=False)
         self._world, self._smoothing = world, smoothing
-        self._layout = layout = RobotLayout.of(robot, world.model)
+        layout, model = self.robot.layout, world.model
         self._actuators = np.array(layout.actuator_ids)
-        model = world.model
         damping = model.dof_damping[model.jnt_dofadr[layout.joint_ids]]
         bias = model.actuator_biasprm[self._actuators]
         self._servo_lag = (bias[:, 2] - damping) / bias[:, 1]
         """Lag of a servo that gets positions alone [s], (dof,)."""
-        if robot.gripper is not None:
-            world.qpos[layout.finger_qpos] = np.array(robot.gripper.joint_open)
-            world.ctrl[layout.finger_actuator] = robot.gripper.ctrl_open
-        if robot.hand is not None:
-            lower, upper = np.array(robot.hand.joint_lower), np.array(robot.hand.joint_upper)
-            world.qpos[layout.hand_qpos] = lower + np.array(robot.hand.open_pose) * (upper - lower)
-            world.ctrl[layout.hand_ctrl] = world.qpos[layout.hand_qpos]
-        self.put(np.array(robot.arm.home))
+        self.robot.go_home()
+        self.stop()
 
     @property
     def joints(self) -> NDArray[np.float64]:
         """Joints [rad], (dof,), a fresh array."""
-        return self._world.qpos[self._layout.qpos].copy()
-
-    @property
-    def velocities(self) -> NDArray[np.float64]:
-        """Joint velocities [rad/s], (dof,), a fresh array."""
-        return self._world.qvel[self._layout.qvel].copy()
+        return self.robot.joints
 
     def put(self, joints: NDArray[np.float64]) -> None:
         """Put the arm somewhere [rad], (dof,), at rest and with its target there."""
-        self._world.qpos[self._layout.qpos] = joints
-        self._world.qvel[self._layout.qvel] = 0.0
+        self.robot.put(joints)
         self.stop()
 
     def stop(self) -> None:
         """Hold the arm where it is, and drop later targets."""
         here = self.joints
         self._world.ctrl[self._actuators] = here
-        self.course = Course(self.placement.arm, here, self._smoothing)
+        self.course = Course(self.robot.placement.arm, here, self._smoothing)
 
     def advance(self, time: float, step: float) -> None:
         """Set the controls of the physics step that ends at a moment [s]."""

@@ -8,6 +8,7 @@ thread pool without the GIL, and its result does not depend on the number of thr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from fractions import Fraction
 from typing import Any, Literal, NamedTuple
 
 import mujoco
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 from rcs import _core
 from rcs._core import StepCallback, StepEnd, StepView
 from rcs.errors import InvalidSetup, SimulationError
-from rcs.sim.control_period import control_period
 
 Stepping = Literal["async", "sync", "realtime"]
 """How long a step lasts: one control period of simulated time, until converged, or one on the wall clock."""
@@ -27,10 +27,12 @@ Copies = NDArray[np.integer[Any]] | None
 
 StepFunction = Callable[[StepView], bool | None]
 """A function that sees a copy during a step; None counts as False."""
-
 MOST = 2**31 - 1
 """Largest number of copies and of threads."""
-
+LOWEST_FREQUENCY = 1e-6
+"""Lowest control rate [Hz]: one step in eleven days."""
+SHORTEST_PHYSICS_STEP = 1e-9
+"""Shortest time step of the physics [s], the resolution of control periods."""
 DIVERGENCE = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -163,15 +165,6 @@ class World:
         """
         return self.core.read_body_pose(self.model.body(body).id, self.model.body(frame).id)
 
-    def read_force(self, first: NDArray[np.uint8], second: NDArray[np.uint8]) -> int:
-        """Register the normal force between two sets of surfaces; return its index in `forces`.
-
-        Args:
-            first: Flags of `geom_flags` or `subtree_flags`.
-            second: As `first`.
-        """
-        return self.core.read_force(first, second)
-
     def _read_out(self) -> _Readouts:
         """Take views of the readouts. After the first use, no readouts may be added."""
         core = self.core
@@ -190,7 +183,7 @@ class World:
 
     @property
     def forces(self) -> NDArray[np.float64]:
-        """Live forces registered with `read_force`, (*leading, readouts) [N]."""
+        """Live forces registered with `core.read_force`, (*leading, readouts) [N]."""
         return (self._readouts or self._read_out()).forces
 
     @property
@@ -384,3 +377,23 @@ def require_count(name: str, value: Any, least: int) -> None:
     """
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= MOST:
         raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least} to {MOST}.")
+
+
+def control_period(frequency: float, physics_step: float) -> Fraction:
+    """Return the control period in physics steps as an exact ratio, so that the mean rate is exact.
+
+    Args:
+        frequency: Control steps per second [Hz].
+        physics_step: Time step of the physics [s].
+
+    Raises:
+        InvalidSetup: The frequency is too low or higher than that of the physics, or the physics has no time step.
+    """
+    if not (np.isfinite(physics_step) and physics_step >= SHORTEST_PHYSICS_STEP):
+        raise InvalidSetup(f"The model's time step is {physics_step} s; it must be at least {SHORTEST_PHYSICS_STEP} s.")
+    if not (np.isfinite(frequency) and LOWEST_FREQUENCY <= frequency <= 1 / physics_step + 1e-9):
+        raise InvalidSetup(
+            f"frequency is {frequency} Hz; valid is from {LOWEST_FREQUENCY} Hz up to the physics' "
+            f"{1 / physics_step:g} Hz."
+        )
+    return 1 / (Fraction(frequency).limit_denominator(10**6) * Fraction(physics_step).limit_denominator(10**9))

@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rcs_data.record import Positive, Record, Whole, converted
+from rcs_data.options import Positive, Record, Whole, converted
 
 from rcs.errors import InvalidSetup
 

@@ -1,4 +1,4 @@
-from rcs.tasks.distractors import Distractors as Distractors
+from rcs.tasks.clutter import Distractors as Distractors
 from rcs.tasks.free import Free as Free
 from rcs.tasks.holding import Grip as Grip
 from rcs.tasks.holding import HoldTimer as HoldTimer
@@ -10,8 +10,6 @@ from rcs.tasks.pick_cuboid import PickCuboid as PickCuboid
 from rcs.tasks.pick_toy import PickToy as PickToy
 from rcs.tasks.place import Place as Place
 from rcs.tasks.push import Push as Push
-from rcs.tasks.show_board import ShowBoard as ShowBoard
-from rcs.tasks.show_board import ShowBoardOptions as ShowBoardOptions
 from rcs.tasks.stack_cuboid import StackCuboid as StackCuboid
 from rcs.tasks.table_task import FreeBody as FreeBody
 from rcs.tasks.table_task import TableTask as TableTask

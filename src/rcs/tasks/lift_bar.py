@@ -43,6 +43,7 @@ class LiftBar(TableTask):
     memory = ("_half_edges", "_table", "_grasp_offset", "_ends", "_held", "_grip")
     names = (BAR,)
     robots_needed = 2
+    flags = ("is_grasped",)
     instruction = "lift the bar with both arms"
     expert = "LiftExpert"
     Options = LiftOptions
@@ -84,8 +85,8 @@ class LiftBar(TableTask):
 
     def evaluate(self) -> Judgement:
         """Judge height, level and grasps, and for how long."""
-        bar = self.poses_of(BAR).copy()
-        grasped = self._grip.grasps()
+        seen = self.seen()
+        bar, grasped = seen["bar_in_scene"], self._grip.grasps()
         both = grasped[..., 0] & grasped[..., 1]
         x, y = bar[..., 3], bar[..., 4]
         is_level = 1.0 - 2.0 * (x * x + y * y) > np.cos(MAX_TILT)  # z component of the bar's z axis
@@ -95,12 +96,7 @@ class LiftBar(TableTask):
         success = self._held.count(is_held, self._grip.places())
         distances = norm(self._world.poses[..., self._tcps, :3] - self._grasps(bar))
         come = progress(distances, grasped, (height / goal)[..., None]).mean(axis=-1)
-        info: dict[str, NDArray[Any]] = {
-            "is_grasped": both,
-            "bar_in_scene": bar,
-            "grasp_offset": self._grasp_offset.copy(),
-        }
-        return Judgement(success=success, progress=come, is_placed=is_held, info=info)
+        return Judgement(success=success, progress=come, is_placed=is_held, info={"is_grasped": both, **seen})
 
     def _grasps(self, bar: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the grasp points of both ends in the scene, (..., 2, 3)."""
@@ -108,13 +104,6 @@ class LiftBar(TableTask):
         axis = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=-1)
         return bar[..., None, :3] + self._ends[..., None] * axis[..., None, :]
 
-    def describe(self) -> dict[str, NDArray[Any]]:
+    def seen(self) -> dict[str, NDArray[Any]]:
         """Return the bar's pose, and the distance of the grasp points from its middle along its y [m]."""
-        never = np.zeros(self._world.leading, np.bool_)
-        bar = self.poses_of(BAR).copy()
-        return {
-            "success": never,
-            "is_grasped": never,
-            "bar_in_scene": bar,
-            "grasp_offset": self._grasp_offset.copy(),
-        }
+        return {"bar_in_scene": self.poses_of(BAR).copy(), "grasp_offset": self._grasp_offset.copy()}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from rcs_data.record import Positive
+from rcs_data.options import Positive
 
 from rcs.envs.task import Task
 from rcs.sim.scene import TABLE, Scene

@@ -7,21 +7,19 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from rcs_data.record import Meta
+from rcs_data.options import Meta
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Area, Judgement
+from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
 from rcs.spatial import compose
-from rcs.tasks.distractors import MOST, Distractors
+from rcs.tasks.clutter import MOST_DISTRACTORS, MOST_OBSTACLES, Distractors, Obstacles, SizedBodies
 from rcs.tasks.holding import SLIP, TOUCH_FORCE, Grip, HoldTimer
 from rcs.tasks.lifting import LiftOptions, add_box, any_of, lowest, progress, table_height, upright
-from rcs.tasks.obstacles import MOST as MOST_OBSTACLES
-from rcs.tasks.obstacles import Obstacles
-from rcs.tasks.sizes import SizedBodies
 from rcs.tasks.table_task import TableTask
 
 SIZE = (0.064, 0.032, 0.0576)
@@ -43,9 +41,9 @@ POSES = {
 
 
 class PickOptions(LiftOptions):
-    """Options of Pick-Cuboid; each of the last five makes it harder, and they combine."""
+    """Options of Pick-Cuboid; each from `distractors` to `obstacles` makes it harder, and they combine."""
 
-    distractors: Annotated[int, Meta(ge=0, le=MOST)] = 0
+    distractors: Annotated[int, Meta(ge=0, le=MOST_DISTRACTORS)] = 0
     """How many boxes and cylinders of random sizes and colours, none of them green, lie around the cuboid, 0 to 16."""
     pose: Literal["usual", "flat", "standing", "any"] = "usual"
     """How the cuboid lies: on its lower face, on its largest one, on its smallest one, or on any of these by chance."""
@@ -57,6 +55,24 @@ class PickOptions(LiftOptions):
     obstacles: Annotated[int, Meta(ge=0, le=MOST_OBSTACLES)] = 0
     """How many posts stand around the cuboid, 0 to 8: firm, higher than the flange when it grasps, and clear of the
     robot at home. The scripted expert does not see them; the agent `planner` goes around them."""
+    placed_by: Literal["reset", "robot"] = "reset"
+    """Who puts the cuboid where an episode of a collection begins: the reset, which beside a real robot is a person; or
+    the robot, which sets it down there after each success. Needs a cuboid of the usual size and pose, and no others."""
+
+    def __post_init__(self) -> None:
+        """Check the options.
+
+        Raises:
+            InvalidSetup: A value is invalid, or the robot cannot place the cuboid of these options.
+        """
+        super().__post_init__()
+        needed = {"distractors": 0, "pose": "usual", "edges": "fixed", "obstacles": 0}
+        wrong = [name for name, value in needed.items() if getattr(self, name) != value]
+        if self.placed_by == "robot" and wrong:
+            raise InvalidSetup(
+                f"placed_by is 'robot' and {wrong[0]} is {getattr(self, wrong[0])!r}; the robot sets down cuboids with "
+                f"{', '.join(f'{name}={value!r}' for name, value in needed.items())}. Use these, or placed_by='reset'."
+            )
 
 
 class PickCuboid(TableTask):
@@ -75,6 +91,7 @@ class PickCuboid(TableTask):
     names = (CUBOID,)
     instruction = "pick up the green cuboid"
     expert = "PickExpert"
+    placer = "rcs.agents.experts:SetDownExpert"
     Options = PickOptions
     options: PickOptions
 
@@ -149,8 +166,7 @@ class PickCuboid(TableTask):
 
     def evaluate(self) -> Judgement:
         """Judge height, grasp and duration."""
-        poses = self._world.poses
-        cuboid = poses[..., self._pose, :].copy()
+        seen = self.seen()
         is_grasped = self._grip.grasps()[..., 0]
         goal = self.options.lift_height
         height = np.zeros(())
@@ -159,19 +175,12 @@ class PickCuboid(TableTask):
             height = lowest(self.poses_of(CUBOID), self._half_edges) - self._table
             is_held = is_grasped & (height >= goal) & self._grip.is_free()
         success = self._held.count(is_held, self._grip.places())
-        offset = cuboid[..., :3] - poses[..., self._robot.tcp_readout, :3]
-        info = {
-            "is_grasped": is_grasped,
-            "is_touched": self._world.forces[..., self._touched] > TOUCH_FORCE,
-            "cuboid": cuboid,
-            "edges": 2.0 * self._half_edges,
-        }
+        offset = seen["cuboid"][..., :3] - self._world.poses[..., self._robot.tcp_readout, :3]
+        is_touched = self._world.forces[..., self._touched] > TOUCH_FORCE
+        info = {"is_grasped": is_grasped, "is_touched": is_touched, **seen}
         come = progress(np.sqrt(np.vecdot(offset, offset)), is_grasped, height / goal)
         return Judgement(success=success, progress=come, is_placed=is_held, info=info)
 
-    def describe(self) -> dict[str, NDArray[Any]]:
-        """Return the cuboid's pose and its edges."""
-        never = np.zeros(self._world.leading, np.bool_)
-        cuboid = self._world.poses[..., self._pose, :].copy()
-        edges = 2.0 * self._half_edges
-        return {"success": never, "is_grasped": never, "is_touched": never, "cuboid": cuboid, "edges": edges}
+    def seen(self) -> dict[str, NDArray[Any]]:
+        """Return the cuboid's pose in the robot's base frame, and its edges [m]."""
+        return {"cuboid": self._world.poses[..., self._pose, :].copy(), "edges": 2.0 * self._half_edges}

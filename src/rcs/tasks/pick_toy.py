@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
-from rcs.envs.task import Judgement, Task
+from rcs.envs.task import Judgement
 from rcs.kinematics import kinematics_of
 from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.robot import SimRobot
@@ -22,7 +22,7 @@ from rcs.sim.world import World
 from rcs.spatial import Pose, compose, inverse
 from rcs.tasks.holding import HoldTimer, all_but
 from rcs.tasks.lifting import LiftOptions, norm, progress, table_height
-from rcs.tasks.table_task import require_robots
+from rcs.tasks.table_task import TableTask, require_robots
 
 SIZE = (0.09, 0.075, 0.07)
 """Length, width and height of the toy, an ellipsoid [m]."""
@@ -49,7 +49,7 @@ SHIFT = 0.03
 TOY = "toy"
 
 
-class PickToy(Task):
+class PickToy(TableTask):
     """Lift a soft toy, by 10 cm by default, and hold it at the arm's home pose for one second.
 
     It is a success when, without a break for that time, the TCP is within 5 cm of where it is at home, the toy's middle
@@ -66,6 +66,7 @@ class PickToy(Task):
     """
 
     memory = ("_nodes", "_rest_height", "_weight", "_held")
+    names = (TOY,)
     instruction = "pick up the toy"
     expert = "ToyExpert"
     Options = LiftOptions
@@ -75,10 +76,6 @@ class PickToy(Task):
         """Add a table and the toy."""
         scene.add_table()
         _add_toy(scene.spec, (*self.area.center, self.area.object_scale * SIZE[2] / 2), self.area.object_scale)
-
-    def objects(self) -> list[str]:
-        """Return the toy."""
-        return [TOY]
 
     def bind(self, world: World, robots: list[SimRobot]) -> None:
         """Look up the toy's nodes and register the robot's force on it for readout.
@@ -170,8 +167,7 @@ class PickToy(Task):
     def evaluate(self) -> Judgement:
         """Judge height, grasp and how long the toy was held at home."""
         in_scene = self._pose(self._present_nodes())
-        toy = compose(self._scene_in_base, in_scene)
-        tcp = self._world.poses[..., self._robot.tcp_readout, :]
+        toy, tcp = compose(self._scene_in_base, in_scene), self._world.poses[..., self._robot.tcp_readout, :]
         forces = self._world.forces
         height = in_scene[..., 2] - self._rest_height
         presses = forces[..., self._fingers] > self._weight[..., None]
@@ -183,14 +179,12 @@ class PickToy(Task):
         back = 1.0 - np.tanh(5.0 * np.maximum(from_home - NEAR_HOME, 0.0))
         come = progress(norm(toy[..., :3] - tcp[..., :3]), is_grasped, (0.5 + 0.5 * back) * height / goal)
         is_touched = forces[..., self._touched] > TOUCH_FORCE
-        info = {"is_grasped": is_grasped, "is_touched": is_touched, "toy": toy}
+        info = {"is_grasped": is_grasped, "is_touched": is_touched, TOY: toy}
         return Judgement(success=success, progress=come, is_placed=is_held, info=info)
 
-    def describe(self) -> dict[str, NDArray[Any]]:
-        """Return where the toy lies."""
-        never = np.zeros(self._world.leading, np.bool_)
-        toy = compose(self._scene_in_base, self._pose(self._present_nodes()))
-        return {"success": never, "is_grasped": never, "is_touched": never, "toy": toy}
+    def seen(self) -> dict[str, NDArray[Any]]:
+        """Return where the toy is in the robot's base frame."""
+        return {TOY: compose(self._scene_in_base, self._pose(self._present_nodes()))}
 
     def _present_nodes(self) -> NDArray[np.float64]:
         """Return the nodes in the scene [m], (*leading, nodes, 3)."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import mujoco
 from numpy.typing import NDArray
-from rcs_data.record import Positive
+from rcs_data.options import Positive
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
@@ -93,9 +93,9 @@ class Place(TableTask):
         """Judge where the cuboid is and whether it was set down there."""
         return self._delivery.judge(self.options.tolerance)
 
-    def describe(self) -> dict[str, NDArray[Any]]:
+    def seen(self) -> dict[str, NDArray[Any]]:
         """Return the poses of cuboid and goal."""
-        return self._delivery.describe()
+        return self._delivery.seen()
 
 
 def add_mark(scene: Scene, name: str, place: tuple[float, float], *, radius: float) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from rcs_data.record import Positive
+from rcs_data.options import Positive
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
@@ -69,6 +69,7 @@ class Push(TableTask):
     memory = ("_lies_there", "_was_lifted", "_half_edges", "_table", "_grip")
     names, marks = (BLOCK,), (GOAL,)
     takes_hands = True
+    flags = ("is_touched",)
     instruction = "push the blue block onto the red disc"
     expert = "PushExpert"
     Options = PushOptions
@@ -169,15 +170,13 @@ class Push(TableTask):
         progress = (1.0 / 3.0) * (reach + 2.0 * nearness(distance))
         progress = np.where(self._was_lifted, 0.0, progress)
         is_touched = self._world.forces[..., self._touched] > TOUCH_FORCE
-        info = {**self.describe(), "success": success, "is_touched": is_touched}
+        info = {"is_touched": is_touched, **self.seen()}
         return Judgement(success=success, progress=progress, is_placed=is_placed, info=info)
 
-    def describe(self) -> dict[str, NDArray[Any]]:
-        """Return the poses of block and goal, and the edges of the block."""
-        poses, never = self._world.poses, np.zeros(self._world.leading, np.bool_)
+    def seen(self) -> dict[str, NDArray[Any]]:
+        """Return the poses of block and goal, the edges of the block, and whether it was lifted."""
+        poses = self._world.poses
         return {
-            "success": never,
-            "is_touched": never,
             "was_lifted": np.array(self._was_lifted),
             "block": poses[..., self._block, :].copy(),
             "goal": poses[..., self._goal, :].copy(),

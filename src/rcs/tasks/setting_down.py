@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rcs_data.record import Positive
+from rcs_data.options import Positive
 
 from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Judgement, Task
@@ -85,12 +84,8 @@ class Delivery:
         up[..., 2:3], up[..., 6] = self._height, 1.0
         return compose(self._world.poses[..., at, :], up)
 
-    def describe(self) -> dict[str, NDArray[Any]]:
-        """Return the info of the start of an episode."""
-        never = np.zeros(self._world.leading, np.bool_)
-        return {"success": never, "is_grasped": never, "is_touched": never, **self._poses()}
-
-    def _poses(self) -> dict[str, NDArray[np.float64]]:
+    def seen(self) -> dict[str, NDArray[np.float64]]:
+        """Return the poses of the object and of its goal in the robot's base frame."""
         cuboid = self._world.poses[..., self._object_in_base, :].copy()
         return {self._name: cuboid, "goal": self._goal(self._at_in_base)}
 
@@ -124,7 +119,7 @@ class Delivery:
         on_the_way = reach + is_grasped * uprightness(pose) * (2.0 + self._was_lifted * (1.0 + 3.0 * near))
         progress = np.where(is_there, 8.0 + is_released, on_the_way) * (1.0 / 9.0)
         is_touched = forces[..., self._touched] > TOUCH_FORCE
-        info = {"is_grasped": is_grasped, "is_touched": is_touched, **self._poses()}
+        info = {"is_grasped": is_grasped, "is_touched": is_touched, **self.seen()}
         return Judgement(success=success, progress=progress, is_placed=is_there & is_released, info=info)
 
 

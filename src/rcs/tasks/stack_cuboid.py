@@ -63,7 +63,7 @@ class StackCuboid(TableTask):
         """
         super().bind(world, robots)
         self._delivery = Delivery(world, robots, CUBOID, on=BLOCK, at=BLOCK, rest_time=self.options.rest_time)
-        self._block_touched = world.read_force(all_but(world, TABLE, *NAMES), world.geom_flags([BLOCK]))
+        self._block_touched = world.core.read_force(all_but(world, TABLE, *NAMES), world.geom_flags([BLOCK]))
         self._geoms = [int(world.model.geom(name).id) for name in NAMES]
 
     def reset(self, random: EpisodeRandom, where: CopyIndex) -> None:
@@ -81,6 +81,6 @@ class StackCuboid(TableTask):
         is_ready = is_flat(self.poses_of(BLOCK)) & (self._world.forces[..., self._block_touched] == 0.0)
         return self._delivery.judge(np.inf, is_ready)
 
-    def describe(self) -> dict[str, NDArray[Any]]:
+    def seen(self) -> dict[str, NDArray[Any]]:
         """Return the poses of cuboid and goal."""
-        return self._delivery.describe()
+        return self._delivery.seen()

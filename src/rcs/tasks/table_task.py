@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -46,7 +46,7 @@ class TableTask(Task):
     """A task with rigid objects on a table.
 
     A subclass names its objects and adds them in `furnish`; it puts them somewhere in `reset` by
-    `self.bodies[name].place`, and finds their poses in `poses_of(name)`.
+    `self.bodies[name].place`, and finds their poses in `poses_of(name)`. What its `info` has besides flags is `seen`.
     """
 
     names: ClassVar[tuple[str, ...]]
@@ -57,6 +57,17 @@ class TableTask(Task):
     """Number of robots."""
     takes_hands: ClassVar[bool] = False
     """Whether a hand may take the place of a gripper."""
+    flags: ClassVar[tuple[str, ...]] = ("is_grasped", "is_touched")
+    """Flags in `info` besides `success`, which are False at the start of an episode."""
+
+    def seen(self) -> dict[str, NDArray[Any]]:
+        """Return what `info` has of the present state besides flags, in fresh arrays."""
+        return {}
+
+    def describe(self) -> dict[str, NDArray[Any]]:
+        """Return the info of the first observation of an episode."""
+        never = np.zeros(self._world.leading, np.bool_)
+        return {**dict.fromkeys(("success", *self.flags), never), **self.seen()}
 
     def objects(self) -> list[str]:
         """Return the objects."""

@@ -5,7 +5,7 @@ Subclass a contract in a file of your tests, return your device from one method,
     from rcs.testing import ArmContract
 
     class TestMyArm(ArmContract):
-        def make_arm(self):
+        def make_device(self):
             return MyArm("192.168.0.1")
 """
 
@@ -15,17 +15,7 @@ import pytest
 from rcs_data.lazy import load_on_use
 
 # Before the suites are imported: a failed check then shows the values that it compared.
-pytest.register_assert_rewrite(
-    "rcs.testing.arm_contract",
-    "rcs.testing.camera_contract",
-    "rcs.testing.description_contract",
-    "rcs.testing.device_contract",
-    "rcs.testing.env_contract",
-    "rcs.testing.gripper_contract",
-    "rcs.testing.hand_contract",
-    "rcs.testing.motion_contract",
-    "rcs.testing.safety_contract",
-    "rcs.testing.stopping_contract",
-)
+_KINDS = ("arm", "camera", "description", "device", "env", "gripper", "hand", "motion", "stopping", "tactile")
+pytest.register_assert_rewrite(*(f"{__name__}.{kind}_contract" for kind in _KINDS))
 
 load_on_use(__name__)

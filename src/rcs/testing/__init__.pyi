@@ -4,4 +4,4 @@ from rcs.testing.description_contract import DescriptionContract as DescriptionC
 from rcs.testing.env_contract import EnvContract as EnvContract
 from rcs.testing.gripper_contract import GripperContract as GripperContract
 from rcs.testing.hand_contract import HandContract as HandContract
-from rcs.testing.safety_contract import SafetyContract as SafetyContract
+from rcs.testing.tactile_contract import TactileContract as TactileContract

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.devices import Arm, ArmState, CommandKind
+from rcs.devices import Arm, CommandKind
 from rcs.errors import InvalidAction
 from rcs.spatial import Pose
 from rcs.testing.motion_contract import MotionContract
@@ -27,18 +27,6 @@ class ArmContract(MotionContract[Arm]):
     """By which factor a measured speed may exceed the limit: measurements are noisy."""
     still: float = 0.02
     """Measured speed of a joint that stands still, at most [rad/s]."""
-
-    def make_arm(self) -> Arm:
-        """Return a new arm, not opened. To be overridden."""
-        raise NotImplementedError("override make_arm and return a new arm that is not opened")
-
-    def make_device(self) -> Arm:
-        """Return a new arm."""
-        return self.make_arm()
-
-    def measure(self, device: Arm) -> ArmState:
-        """Return what the arm measures."""
-        return device.state()
 
     def position(self, device: Arm) -> NDArray[np.float64]:
         """Return the joints [rad]."""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import time
+from typing import Any
+
 import numpy as np
 import pytest
 
 from rcs.devices import Camera, Frame
+from rcs.errors import DeviceFault
 from rcs.testing.device_contract import DeviceContract
 
 
@@ -14,14 +18,10 @@ class CameraContract(DeviceContract[Camera]):
 
     rate_tolerance: float = 0.2
     """By which share the measured rate may differ from that of the mode."""
-
-    def make_camera(self) -> Camera:
-        """Return a new camera, not opened. To be overridden."""
-        raise NotImplementedError("override make_camera and return a new camera that is not opened")
-
-    def make_device(self) -> Camera:
-        """Return a new camera."""
-        return self.make_camera()
+    read_limit: float = 1.5
+    """Longest time that a read, or closing, may take, whatever the camera does [s]."""
+    clock_tolerance: float = 0.05
+    """By how much the host's and the device's clock may differ in one second [s]."""
 
     def measure(self, device: Camera) -> Frame:
         """Return the newest frame."""
@@ -82,3 +82,124 @@ class CameraContract(DeviceContract[Camera]):
                 assert 0 < cy < mode.height
                 np.testing.assert_array_equal(last, [0.0, 0.0, 1.0])
                 assert np.isfinite(calibration.distortion).all()
+
+    # --- Times --------------------------------------------------------------------------------------------------------
+
+    def test_a_frame_is_neither_from_the_future_nor_old(self) -> None:
+        """Its time is on the host's monotonic clock."""
+        with self.open_device() as camera:
+            for _ in range(5):
+                frame = camera.read()
+                age = time.monotonic() - frame.time
+                assert 0.0 <= age <= self.max_age
+                self.advance(1.0 / camera.mode.fps)
+
+    def test_after_a_pause_the_newest_frame_comes_first(self) -> None:
+        """Not one that has waited in a buffer."""
+        with self.open_device() as camera:
+            first = camera.read()
+            self.advance(1.0)
+            begin = time.monotonic()
+            second = camera.read()
+            assert begin - second.time <= self.max_age
+            assert second.number - first.number >= 0.5 * camera.mode.fps
+
+    def test_the_devices_clock_counts_the_same_frames(self) -> None:
+        """Where it has one: the same number has the same time, and the rate of both is that of the mode."""
+        with self.open_device() as camera:
+            first, second = self._by_its_clock(camera, 0.5)
+            passed = second.device_time - first.device_time
+            expected = (second.number - first.number) / camera.mode.fps
+            assert passed > 0
+            assert abs(passed - expected) <= 1.5 / camera.mode.fps + self.rate_tolerance * expected
+
+    def test_both_clocks_agree_on_how_long_it_took(self) -> None:
+        """A picture that comes late keeps its own time."""
+        if type(self).advance is not DeviceContract.advance:
+            pytest.skip("on a simulated clock, the host's does not go on")
+        with self.open_device() as camera:
+            first, second = self._by_its_clock(camera, 1.0)
+            passed = second.device_time - first.device_time
+            assert abs(second.time - first.time - passed) <= self.clock_tolerance * max(passed, 1.0)
+
+    def _by_its_clock(self, camera: Camera, seconds: float) -> tuple[Frame, Frame]:
+        """Return two frames, so far apart; skip the test of a camera that has no clock."""
+        first = camera.read()
+        if not np.isfinite(first.device_time):
+            pytest.skip("the camera has no clock of its own")
+        self.advance(seconds)
+        return first, camera.read()
+
+    # --- Calls that end -----------------------------------------------------------------------------------------------
+
+    def test_reads_and_closing_end_in_time(self) -> None:
+        """Also the first read after opening."""
+        with self.open_device() as camera:
+            for _ in range(5):
+                begin = time.monotonic()
+                camera.read()
+                assert time.monotonic() - begin <= self.read_limit
+                self.advance(1.0 / camera.mode.fps)
+            begin = time.monotonic()
+            camera.close()
+            assert time.monotonic() - begin <= self.read_limit
+
+    def test_a_read_without_the_link_ends_in_time(self) -> None:
+        """With a fault, and never with a picture from before."""
+        with self.open_device() as camera:
+            camera.read()
+            self.lose_link(camera)
+            begin = time.monotonic()
+            with pytest.raises(DeviceFault):
+                self._read_until_lost(camera)
+            assert time.monotonic() - begin <= self.read_limit + self.max_age
+            begin = time.monotonic()
+            camera.close()
+            assert time.monotonic() - begin <= self.read_limit
+
+    def test_a_camera_that_is_back_shows_what_is_there_now(self) -> None:
+        """With higher numbers and later times than before."""
+        with self.open_device() as camera:
+            before = camera.read()
+            self.lose_link(camera)
+            lost = time.monotonic()
+            with pytest.raises(DeviceFault):
+                self._read_until_lost(camera)
+            self.restore_link(camera)
+            self.advance(2.0 / camera.mode.fps)
+            camera.recover()
+            after = camera.read()
+            assert after.number > before.number
+            assert after.time >= lost - 1.0 / camera.mode.fps
+
+    def _read_until_lost(self, camera: Camera) -> None:
+        """Read what was under way when the link was cut."""
+        for _ in range(10):
+            camera.read()
+
+    # --- What it is ---------------------------------------------------------------------------------------------------
+
+    def test_depth_is_measured_somewhere(self) -> None:
+        """Where the mode has it; 0 is no reading."""
+        with self.open_device() as camera:
+            depth = camera.read().depth_mm
+            if depth is None:
+                pytest.skip("the mode has no depth")
+            assert depth.max() > 0
+
+    def test_it_is_the_same_camera_when_it_is_opened_again(self) -> None:
+        """What it says of itself, its serial number first, stays; so does its calibration."""
+        with self.open_device() as camera:
+            camera.read()
+            first, seen = self._identity(camera), camera.calibration
+            camera.close()
+            camera.open()
+            camera.read()
+            assert self._identity(camera) == first
+            again = camera.calibration
+            assert (again is None) == (seen is None)
+            if again is not None and seen is not None:
+                np.testing.assert_array_equal(again.matrix, seen.matrix)
+
+    def _identity(self, camera: Camera) -> Any:
+        return getattr(camera, "about", {}).get("serial")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rcs.kinematics import kinematics_of
 from rcs.robots.description import ArmDescription, GripperDescription, HandDescription, Mount
-from rcs.sim.robot_check import MAX_JOINT_SAG, MAX_TCP_SAG
+from rcs.sim.robot_model import MAX_JOINT_SAG, MAX_TCP_SAG
 from rcs.sim.scene import RobotPlacement, Scene
 from rcs.spatial import Pose
 

@@ -24,12 +24,12 @@ class DeviceContract(Generic[D]):
     """Largest age of a measurement when it is returned [s]."""
 
     def make_device(self) -> D:
-        """Return a new device, not opened."""
-        raise NotImplementedError
+        """Return a new device, not opened. To be overridden."""
+        raise NotImplementedError("override make_device and return a new device that is not opened")
 
-    def measure(self, device: D) -> Any:
-        """Return what the device measures now, with its times."""
-        raise NotImplementedError
+    def measure(self, device: Any) -> Any:
+        """Return what the device measures now, with its times: its state, if it has one."""
+        return device.state()
 
     def use(self, device: D) -> None:
         """Make a call that is refused in the fault state and moves nothing."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from typing import Any
 
 import gymnasium
@@ -89,14 +89,9 @@ class EnvContract:
         """Return a valid action; drawn from the action space, which `run` has seeded."""
         return env.action_space.sample()
 
-    @contextmanager
-    def env(self) -> Generator[AnyEnv]:
-        """Give an environment and close it in the end."""
-        env = self.make_env()
-        try:
-            yield env
-        finally:
-            env.close()
+    def env(self) -> closing[AnyEnv]:
+        """Return an environment that is closed in the end."""
+        return closing(self.make_env())
 
     def run(self, env: AnyEnv, *, between: Callable[[Any], None] | None = None) -> list[Any]:
         """Return what an environment gives from reset on, over `steps` steps of the same actions every time.

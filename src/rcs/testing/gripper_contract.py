@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from rcs.devices import Gripper, GripperState
+from rcs.devices import Gripper
 from rcs.errors import InvalidAction
 from rcs.testing.motion_contract import MotionContract
 
@@ -19,18 +19,6 @@ class GripperContract(MotionContract[Gripper]):
     """How close to its target an opening must come, and how far one at rest may move [1]."""
     tick: float = 0.02
     """How often the gripper is looked at while it moves [s]."""
-
-    def make_gripper(self) -> Gripper:
-        """Return a new gripper, not opened (connected). To be overridden."""
-        raise NotImplementedError("override make_gripper and return a new gripper that is not opened")
-
-    def make_device(self) -> Gripper:
-        """Return a new gripper."""
-        return self.make_gripper()
-
-    def measure(self, device: Gripper) -> GripperState:
-        """Return what the gripper measures."""
-        return device.state()
 
     def position(self, device: Gripper) -> float:
         """Return the opening, 0 to 1."""
@@ -49,12 +37,14 @@ class GripperContract(MotionContract[Gripper]):
         return [-0.01, 1.01, math.nan, math.inf, -math.inf]
 
     def test_a_state_is_an_opening_from_0_to_1_and_a_force_or_none(self) -> None:
-        """The force is NaN where it is not measured."""
-        with self.open_device() as gripper:
+        """The force is NaN where it is not measured; width and largest force are known before the gripper is opened."""
+        gripper = self.make_device()
+        assert 0 < gripper.max_width < math.inf
+        assert 0 < gripper.max_force < math.inf
+        with gripper:
             state = gripper.state()
             assert -self.tolerance <= state.opening <= 1 + self.tolerance
             assert not math.isinf(state.force)
-            assert gripper.max_width > 0
 
     def test_fingers_open_and_close_with_any_force_up_to_the_largest(self) -> None:
         """Other forces are refused, and the fingers stay."""
@@ -68,12 +58,6 @@ class GripperContract(MotionContract[Gripper]):
             for opening, force in ((target, gripper.max_force), (1.0 - target, gripper.max_force / 2)):
                 gripper.command_opening(opening, force)
                 self.require_reached(gripper, opening)
-
-    def test_figures_make_sense(self) -> None:
-        """Known before the gripper is opened (connected)."""
-        gripper = self.make_gripper()
-        assert 0 < gripper.max_width < math.inf
-        assert 0 < gripper.max_force < math.inf
 
     def test_fingers_go_all_the_way_and_half_of_it(self) -> None:
         """In any order."""
@@ -96,14 +80,3 @@ class GripperContract(MotionContract[Gripper]):
             for valid_for in (0.0, -1.0, math.nan):
                 with pytest.raises(InvalidAction, match="valid for"):
                     gripper.command_opening(target, gripper.max_force, valid_for)
-
-    def test_fingers_at_their_target_have_arrived(self) -> None:
-        """Also when they are sent there again."""
-        with self.moving_device() as (gripper, target):
-            self.require_reached(gripper, target)
-            self.command(gripper, target)
-            self.require_reached(gripper, target)
-            gripper.hold()
-            self.advance(self.stopping_time)
-            assert gripper.has_arrived()
-            assert self.is_near(gripper, target)

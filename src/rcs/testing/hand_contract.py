@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.devices import Hand, HandState
+from rcs.devices import Hand
 from rcs.testing.motion_contract import MotionContract
 
 
@@ -19,18 +19,6 @@ class HandContract(MotionContract[Hand]):
     """How far every joint moves, as a share of its range, towards its middle."""
     tolerance: float = 0.02
     """How close to its target a joint must come, and how far one at rest may move [1]."""
-
-    def make_hand(self) -> Hand:
-        """Return a new hand, not opened. To be overridden."""
-        raise NotImplementedError("override make_hand and return a new hand that is not opened")
-
-    def make_device(self) -> Hand:
-        """Return a new hand."""
-        return self.make_hand()
-
-    def measure(self, device: Hand) -> HandState:
-        """Return what the hand measures."""
-        return device.state()
 
     def position(self, device: Hand) -> NDArray[np.float64]:
         """Return the joints, 0 to 1 of their ranges."""

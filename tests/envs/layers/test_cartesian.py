@@ -12,8 +12,8 @@ from rcs.envs.layers.cartesian import ROWS_PER_THREAD
 from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, joints_space
 from rcs.errors import InvalidAction
 from rcs.kinematics import IkStatus, kinematics_of
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 from rcs.spatial import distance, tquat_to_xyzrpy
 
 HOME = np.array(FR3.home)

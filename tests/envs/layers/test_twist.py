@@ -134,7 +134,7 @@ def test_an_episode_is_recorded_and_replayed_bit_for_bit(tmp_path: Any) -> None:
             env.reset(seed=seed)
             for i in range(15):
                 env.step(act(0.1 * np.sin(i), 0.05, -0.05, 0.1, 0.0, 0.2))
-            takes.stop(success=True)
+            takes.finish(success=True)
     episode = next(iter(Dataset.open(tmp_path / "data")))
     assert episode.column("action/twist").shape == (16, 6)
     assert all(result.is_equal for result in replay(tmp_path / "data"))

@@ -15,7 +15,6 @@ import rcs
 from rcs.envs.observer import Observer, Transition
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
-from rcs.envs.observers.takes import Takes
 from rcs.errors import DatasetError
 
 TRIALS = 200
@@ -77,7 +76,7 @@ def test_at_200_random_moments_all_devices_hold_and_every_row_is_kept_and_flagge
                 if before <= moment < bench.clock.now:
                     spoil(bench, kind, which)
 
-            env._clock._sleep = sleep_and_spoil
+            env.clock._sleep = sleep_and_spoil
             recorder.name_next(name)
             env.action_space.seed(trial)
             env.reset(seed=trial)
@@ -117,9 +116,8 @@ def recorded(tmp_path: Path, make_bench: Callable[..., Any]) -> Any:
     writer = DatasetWriter.open(tmp_path, dataset_info(bench.env, instruction="wave"))
     bench.recorder = Recorder(writer)
     bench.writer = writer
-    bench.takes = Takes(bench.recorder, writer)
     bench.env.add_observer(bench.recorder)
-    bench.takes.start(at_reset=True)
+    bench.recorder.start(at_reset=True)
     bench.env.reset(seed=1)
     for _ in range(3):
         bench.env.step(bench.env.action_space.sample())
@@ -140,7 +138,7 @@ def fail_while_waiting(bench: Any) -> None:
         sleep(seconds)
         bench.arm.set_fault("touched something")
 
-    bench.env._clock._sleep = sleep_and_fail
+    bench.env.clock._sleep = sleep_and_fail
 
 
 def test_the_next_reset_keeps_what_a_fault_broke_off(recorded: Any, tmp_path: Path) -> None:
@@ -164,14 +162,14 @@ def test_a_step_that_a_device_in_fault_took_no_part_in_is_no_row(recorded: Any, 
 def test_a_person_may_judge_or_discard_what_a_fault_broke_off(recorded: Any, tmp_path: Path) -> None:
     recorded.arm.set_fault("touched something")
     recorded.env.step(recorded.env.action_space.sample())
-    record = recorded.takes.stop(success=False)
+    record = recorded.recorder.finish(success=False)
     assert (record.success, record.outcome["end"]) == (False, "fault")
     recorded.env.recover()
-    recorded.takes.start(at_reset=True)
+    recorded.recorder.start(at_reset=True)
     recorded.env.reset()
     recorded.arm.set_fault("again")
     recorded.env.step(recorded.env.action_space.sample())
-    recorded.takes.discard()
+    recorded.recorder.discard()
     assert only_episode(tmp_path).id == "000000"
 
 
@@ -206,7 +204,7 @@ def test_a_disk_that_is_full_when_the_recorder_closes_leaves_no_device_open(
 
 
 def test_what_a_device_records_can_be_read_like_any_other(recorded: Any, tmp_path: Path) -> None:
-    recorded.takes.stop(success=True)
+    recorded.recorder.finish(success=True)
     dataset = Dataset.open(tmp_path)
     assert dataset.info.sim_state_size is None
     assert dataset.info.instruction == "wave"

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import rcs
 from rcs.envs.observers.dataset_info import dataset_info, limits_of
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 
 
 def test_a_recording_knows_the_limits_of_its_arm() -> None:

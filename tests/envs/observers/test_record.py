@@ -13,7 +13,6 @@ from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.record import record, record_all
 from rcs.envs.observers.recorder import Recorder
-from rcs.envs.observers.takes import Takes
 from rcs.errors import DatasetError
 from rcs.sim.pixels import Pixels
 
@@ -121,7 +120,7 @@ def test_takes_are_kept_discarded_and_done_again_by_a_person(tmp_path: Path) -> 
             env.reset(seed=0)
             env.note(intervention=1.0)
             env.step(env.action_space.sample())
-            takes.discard() if verdict is None else takes.stop(success=verdict)
+            takes.discard() if verdict is None else takes.finish(success=verdict)
     episodes = list(Dataset.open(tmp_path / "set"))
     assert [(episode.id, episode.success) for episode in episodes] == [("000000", True), ("000001", False)]
     assert episodes[0].instruction == "lift it"
@@ -147,12 +146,11 @@ def test_pixels_for_learners_are_recorded_as_they_were_though_their_memory_is_us
     with DatasetWriter.open(tmp_path, dataset_info(env)) as writer:
         recorder = Recorder(writer, background=background)
         env.add_observer(recorder)
-        takes = Takes(recorder, writer)
-        takes.start(at_reset=True)
+        recorder.start(at_reset=True)
         seen = [env.reset(seed=0)[0]["frames"]["side"]["pixels"].copy()]
         for _ in range(12):
             seen.append(env.step(env.action_space.sample())[0]["frames"]["side"]["pixels"].copy())
-        takes.stop(success=None)
+        recorder.finish(success=None)
         recorder.close()
     env.close()
     (episode,) = Dataset.open(tmp_path)

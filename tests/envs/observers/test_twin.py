@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.agents import JointSweep
 from rcs.envs import Alarm, Twin
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.errors import InvalidSetup
 from rcs.hardware import Site
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
-from rcs.robots.ur5e.description import UR5E
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
+from rcs.robots.ur5e import UR5E
 from rcs.setups.make import resolve
 from rcs.virtual import SimDriver, StandInArm
+from tests.joint_sweep import JointSweep
 
 NOISE = 5e-4
 LAG_TOLERANCE = 1e-3
@@ -121,7 +121,7 @@ def test_there_is_no_alarm_in_minutes_of_normal_following_with_pauses_holds_and_
         for seed in range(3):
             observation, info = env.reset(seed=seed)
             agent.reset(observation, info)
-            for part in range(8):
+            for part in range(4):
                 observation, info = run(env, agent, 180, observation, info)
                 assert not any(one.alarm for one in twin.comparisons.values())
                 if part % 2:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rcs_data import Dataset
-from rcs_data.flags import FrameFlag
+from rcs_data.files.flags import FrameFlag
 
 import rcs
 from rcs.devices import CameraMode, Frame
@@ -20,7 +20,7 @@ from rcs.envs.observers.record import record
 from rcs.envs.ports.camera import cropped, intrinsics_of
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware import Site
-from rcs.robots.realsense_d435.description import REALSENSE_D435
+from rcs.robots.cameras import REALSENSE_D435
 from rcs.setups.lab import lab_of
 
 SIZE = (64, 48)
@@ -104,7 +104,7 @@ def test_a_camera_that_stalls_has_all_devices_hold_until_it_goes_on(camera: Fake
 
 
 def test_a_camera_that_cannot_be_opened_again_says_why(camera: FakeCamera, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rcs.envs.ports.camera.RECONNECT", 0.01)
+    monkeypatch.setattr("rcs.envs.ports.camera_thread.RECONNECT", 0.01)
     env = make(camera, stale_after=0.5)
     env.reset(seed=0)
     camera.lose_link()
@@ -121,7 +121,7 @@ def test_a_camera_that_stalls_can_only_be_flagged(camera: FakeCamera, tmp_path: 
         env.reset(seed=0)
         camera.freeze()
         wait_for(lambda: env.step(stay(env))[-1]["ages"]["frames/side"] > 0.1)
-        takes.stop(None)
+        takes.finish(None)
     env.close()
     episode = Dataset.open(tmp_path / "takes").episodes[0]
     assert FrameFlag.STALE in FrameFlag(int(episode.column("flags/frames/side")[-1]))
@@ -130,7 +130,7 @@ def test_a_camera_that_stalls_can_only_be_flagged(camera: FakeCamera, tmp_path: 
 
 
 def test_without_a_first_frame_nothing_stays_open(camera: FakeCamera, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rcs.envs.ports.camera.FIRST_FRAME", 0.2)
+    monkeypatch.setattr("rcs.envs.ports.camera_thread.FIRST_FRAME", 0.2)
 
     class Dark(FakeCamera):
         def _read(self) -> Frame:
@@ -148,8 +148,8 @@ def test_without_a_first_frame_nothing_stays_open(camera: FakeCamera, monkeypatc
 class StuckCamera(FakeCamera):
     """A camera whose driver does not return from a call, until it is told to."""
 
-    def __init__(self) -> None:
-        super().__init__(CameraMode(640, 480, 30.0, False), name="side")
+    def __init__(self, size: tuple[int, int] = (640, 480), fps: float = 30.0) -> None:
+        super().__init__(CameraMode(*size, fps, False), name="side")
         self.goes_on = threading.Event()
         self.goes_on.set()
         self.opens = threading.Event()
@@ -165,8 +165,8 @@ class StuckCamera(FakeCamera):
 
 @pytest.fixture
 def stuck(monkeypatch: pytest.MonkeyPatch) -> Iterator[StuckCamera]:
-    monkeypatch.setattr("rcs.envs.ports.camera.FIRST_FRAME", 0.3)
-    monkeypatch.setattr("rcs.envs.ports.camera.LONGEST_CALL", 0.2)
+    monkeypatch.setattr("rcs.envs.ports.camera_thread.FIRST_FRAME", 0.3)
+    monkeypatch.setattr("rcs.envs.ports.camera_thread.LONGEST_CALL", 0.2)
     camera = StuckCamera()
     yield camera
     camera.goes_on.set()
@@ -193,6 +193,52 @@ def test_a_camera_that_does_not_return_keeps_nobody_from_closing(
     assert no_arm_is_open(env)
     assert "camera side has not returned" in caplog.text
     assert stuck.is_open, "its thread has it until the call returns"
+
+
+def test_cameras_that_never_return_keep_close_waiting_for_a_second_and_a_half_in_all() -> None:
+    cameras = {"wrist": StuckCamera((848, 480)), "side": StuckCamera()}
+    skin = StuckCamera((320, 240), 60.0)
+    site = Site(arms={"fr3": "fake"}, grippers={"fr3": "fake"}, cameras=cameras, tactile={"fr3_left": skin})
+    sizes = {"wrist": (424, 240), "side": (64, 48)}
+    env = rcs.make("Free", cameras=rcs.Cameras(names=tuple(cameras), image_size=sizes), hardware=site, tactile="digit")
+    observation, _ = env.reset(seed=0)
+    assert {name: frame["rgb"].shape for name, frame in observation["frames"].items() if name in sizes} == {
+        "wrist": (240, 424, 3),
+        "side": (48, 64, 3),
+    }
+    every = [*cameras.values(), skin]
+    for camera in every:
+        camera.goes_on.clear()
+    wait_for(lambda: env.step(stay(env))[3])
+    begin = time.monotonic()
+    env.close()
+    assert time.monotonic() - begin < 1.5
+    for camera in every:
+        camera.goes_on.set()
+    wait_for(lambda: not any(camera.is_open for camera in every))
+
+
+def test_a_recording_says_how_its_devices_measured(camera: FakeCamera, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("rcs.envs.ports.camera_thread.RECONNECT", 0.01)
+    env = make(camera, on_stale="flag")
+    with record(env, tmp_path / "takes") as takes:
+        takes.start(at_reset=True)
+        env.reset(seed=0)
+        for _ in range(100):
+            env.step(stay(env))
+        camera.lose_link()
+        wait_for(lambda: env.step(stay(env))[-1]["ages"]["frames/side"] > 0.2)
+        camera.restore()
+        wait_for(lambda: env.step(stay(env))[-1]["ages"]["frames/side"] < 0.05)
+        takes.finish(None)
+    env.close()
+    episode = Dataset.open(tmp_path / "takes").episodes[0]
+    side, joints = (episode.timing["devices"][key] for key in ("frames/side", "joints"))
+    assert 0 < side["rate"] < 31 and side["gaps"] > 0 and side["repeats"] > 50
+    assert 0 <= side["age_p50"] <= side["age_p99"] <= side["age_max"] and side["age_max"] > 0.2
+    assert abs(joints["clock"]["drift"]) < 0.01, "the fake's own clock is the host's"
+    assert np.isfinite(episode.column("time/device/joints")).all()
+    assert episode.outcome["reconnections"]["frames/side"] >= 1
 
 
 @pytest.mark.parametrize("call", ["opens", "goes_on"])
@@ -233,7 +279,7 @@ def test_frames_from_the_future_are_a_fault_and_not_fresh_for_ever(
             frame = super()._read()
             return Frame(frame.rgb, number=frame.number, time=time.monotonic() + self.ahead)
 
-    monkeypatch.setattr("rcs.envs.ports.camera.FIRST_FRAME", 0.3)
+    monkeypatch.setattr("rcs.envs.ports.camera_thread.FIRST_FRAME", 0.3)
     stamping = Stamping(camera.mode, name="side")
     env = make(stamping, max_episode_steps=None)
     env.reset(seed=0)

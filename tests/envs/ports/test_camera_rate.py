@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rcs_data import DatasetWriter
-from rcs_data.flags import FrameFlag
+from rcs_data.files.flags import FrameFlag
 
 import rcs
 from rcs.envs.observers.dataset_info import dataset_info

@@ -57,7 +57,7 @@ def test_real_cameras_of_different_sizes_are_recorded(tmp_path: Any) -> None:
             env.reset(seed=0)
             for _ in range(3):
                 env.step(STAY)
-            takes.stop(None)
+            takes.finish(None)
     dataset = Dataset.open(tmp_path / "takes")
     features = {one.key: one.shape for one in dataset.info.features}
     assert features["observation/frames/wrist/rgb"] == (30, 40, 3)

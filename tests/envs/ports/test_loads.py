@@ -18,7 +18,7 @@ from rcs.envs.ports.port import ArmPort
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 from rcs.tasks import Free, add_box
 from rcs.testing.env_contract import EnvContract, require_same_bits
 

@@ -14,11 +14,11 @@ import rcs
 from rcs.devices import ArmState, GripperState, HandState, StreamedArm, StreamOptions, StreamPoint
 from rcs.devices.fakes import FakeArm, FakeGripper, FakeHand
 from rcs.envs.env import Env
-from rcs.envs.ports.freshness import Freshness
+from rcs.envs.ports.device_calls import Freshness
 from rcs.errors import DeviceFault
 from rcs.hardware import Site
 from rcs.hardware.fake import limits_of
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 
 HOME = np.array(FR3.home)
 GO = {"joints": np.full(7, 0.01), "gripper": np.ones(1, np.float32)}

@@ -14,15 +14,16 @@ from rcs.envs.step.chain import Chain
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.stack import Stack
 from rcs.errors import InvalidSetup
+from rcs.robots.cameras import REALSENSE_D435
 from rcs.robots.description import Mount
-from rcs.robots.digit.description import DIGIT
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
-from rcs.robots.realsense_d435.description import REALSENSE_D435
+from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
+from rcs.robots.tactile import DIGIT
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.replay import replay
 from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
 from rcs.sim.camera import SimCameras
+from rcs.sim.camera_feed import FrameClock, FrameRate
 from rcs.sim.robot import SimRobot
 from rcs.sim.tactile import SimTactile
 from rcs.sim.tactile_mounts import on_pads
@@ -70,7 +71,16 @@ def test_frames_of_sensors_and_cameras_stand_next_to_each_other() -> None:
     scene_ = scene()
     world = World(scene_.compile())
     sensors = [SimTactile(world, placement) for placement in scene_.tactile]
-    stack = Stack(Chain([SimTactilePort(sensors), SimCameraPort(SimCameras(world, [EYE], size=(32, 24)))]))
+    stack = Stack(
+        Chain(
+            [
+                SimTactilePort(sensors),
+                SimCameraPort(
+                    SimCameras(world, [EYE], size=(32, 24)), FrameClock(world, {EYE.name: FrameRate(fps=30)})
+                ),
+            ]
+        )
+    )
     world.refresh()
     frames = stack.measure()[""]["frames"]
     assert set(frames) == {"eye", "fr3_left", "fr3_right"}

@@ -15,7 +15,7 @@ from rcs.envs.env import Env
 from rcs.errors import DeviceFault, InvalidSetup, Refused, WrongOrder
 from rcs.hardware import Site
 from rcs.hardware.fake import limits_of
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 
 HOME = np.array(FR3.home)
 THERE = {"joints": HOME + 0.2, "gripper": np.zeros(1, np.float32)}

@@ -182,9 +182,9 @@ def test_no_robot_starts_in_a_collision_or_outside_of_its_limits(robot: str) -> 
 
 
 def test_a_start_that_always_collides_is_home(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rcs.envs.variation.start._FreeSpace._touching", lambda *_: frozenset({(1, 2)}))
+    monkeypatch.setattr("rcs.envs.variation.robots._FreeSpace._touching", lambda *_: frozenset({(1, 2)}))
     env = make(robot_start=0.1)
-    monkeypatch.setattr("rcs.envs.variation.start._FreeSpace._touching", lambda *_: frozenset({(3, 4)}))
+    monkeypatch.setattr("rcs.envs.variation.robots._FreeSpace._touching", lambda *_: frozenset({(3, 4)}))
     observation, info = env.reset(seed=0)
     np.testing.assert_array_equal(info["randomisation"]["robot_start"], np.zeros(7))
     np.testing.assert_allclose(observation["joints"], home_of(env))

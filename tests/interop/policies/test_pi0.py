@@ -31,7 +31,7 @@ def address(made_by_make: Callable[[str], Any], tmp_path_factory: pytest.TempPat
     lerobot.install_vlagents()
     assert "weights" in lerobot.run("python", PROGRAM, "make", folder)
     (folder / "vlagents.json").write_text(json.dumps({"state": PARTS, "action": PARTS, "rate": 10, "device": "cpu"}))
-    with lerobot.serve("lerobot", folder, "--ws", program=PROGRAM) as where:
+    with lerobot.serve("lerobot", folder, "--wire", "ws", program=PROGRAM) as where:
         yield where
 
 

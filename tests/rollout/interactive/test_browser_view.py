@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import asyncio
+import ssl
 import sys
+import threading
 import time
+import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Protocol
 
 import av
 import numpy as np
 import pytest
-import viser
+from rcs_data import Dataset
 
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, MissingDependency
 from rcs.rollout.interactive.browser_view import BrowserView
 from rcs.rollout.interactive.page import start_server
 from rcs.rollout.interactive.session import Session, playable
-from rcs.spatial import distance, xyzw_to_wxyz
+from rcs.spatial import distance
+from tests.rollout.interactive.driven_page import control, drag, give, hear, server_of, update, words
 
 
 @pytest.fixture
@@ -33,55 +38,11 @@ def view() -> Iterator[BrowserView]:
     view.session.close()
 
 
-def server_of(view: BrowserView) -> viser.ViserServer:
-    assert view._server is not None
-    return view._server
-
-
-def control(view: BrowserView, label: str) -> Any:
-    """Return a control of the panel by its label."""
-    handles = server_of(view).gui._gui_input_handle_from_uuid.values()
-    (found,) = (handle for handle in handles if getattr(handle, "label", None) == label)
-    return found
-
-
-def give(view: BrowserView, label: str, value: Any) -> None:
-    """Give a control a value as a page does, or press a button, and have the session see it."""
-    handle, server = control(view, label), server_of(view)
-    handle._impl.value = value
-    event = viser.GuiEvent(client=None, client_id=7, target=handle)
-    for callback in handle._impl.update_cb:
-        asyncio.run_coroutine_threadsafe(callback(event), server.get_event_loop()).result(10)
-    view.update()
-
-
-def words(view: BrowserView) -> str:
-    """Return the text at the top of the panel as it is now."""
-    panel = view._panel
-    assert panel is not None
-    panel._next_text = 0.0
-    panel.show()
-    return panel._status.content
-
-
-def drag(view: BrowserView, robot: str, pose: np.ndarray) -> None:
-    """Drag the target of a robot to a pose in the scene as a page does."""
-    server = server_of(view)
-    gizmo = server.scene.get_handle_by_name(f"/targets/{robot}")
-    assert isinstance(gizmo, viser.TransformControlsHandle)
-    gizmo._impl.position, gizmo._impl.wxyz = pose[:3].copy(), xyzw_to_wxyz(pose[3:])
-    event = viser.TransformControlsEvent(client=None, client_id=7, target=gizmo, phase="update")
-    for callback in gizmo._impl_aux.update_cb:
-        asyncio.run_coroutine_threadsafe(callback(event), server.get_event_loop()).result(10)
-    view.update()
-
-
 def test_a_dragged_target_is_where_the_arm_goes(view: BrowserView) -> None:
     guide = view.session.guides["fr3"]
     pose = guide.tcp_in_scene + np.array([0.05, 0.1, -0.1, 0, 0, 0, 0])
     drag(view, "fr3", pose)
-    for _ in range(90):
-        view.update()
+    update(view, 90)
     assert distance(guide.tcp_in_scene, pose)[0] < 2e-3
     sliders = [control(view, joint).value for joint in guide.robot.arm.joints]
     view._panel._next_text = 0.0
@@ -93,8 +54,7 @@ def test_a_dragged_target_is_where_the_arm_goes(view: BrowserView) -> None:
 def test_a_slider_of_a_joint_moves_the_joint_and_the_target_goes_along(view: BrowserView) -> None:
     guide = view.session.guides["fr3"]
     give(view, guide.robot.arm.joints[0], 0.5)
-    for _ in range(90):
-        view.update()
+    update(view, 90)
     assert view.session.observation["joints"][0] == pytest.approx(0.5, abs=2e-3)
     gizmo = server_of(view).scene.get_handle_by_name("/targets/fr3")
     np.testing.assert_allclose(gizmo.position, guide.tcp_in_scene[:3], atol=2e-3)
@@ -129,8 +89,7 @@ def test_what_is_said_of_the_buttons_at_the_end_is_what_they_do(view: BrowserVie
 
 def test_the_gripper_follows_its_slider(view: BrowserView) -> None:
     give(view, "Opening", 0.3)
-    for _ in range(60):
-        view.update()
+    update(view, 60)
     assert view.session.observation["gripper"][0] == pytest.approx(0.3, abs=0.02)
 
 
@@ -189,18 +148,91 @@ def test_the_page_is_served_here_alone_and_opens_no_tunnel(view: BrowserView) ->
     assert server_of(view).request_share_url() is None
 
 
-def test_a_port_that_is_taken_leads_to_the_next_one() -> None:
-    first = start_server("127.0.0.1", 0)
-    second = start_server("127.0.0.1", first.get_port())
-    assert second.get_port() > first.get_port()
-    first.stop()
-    second.stop()
+def test_a_port_that_is_taken_leads_to_the_next_one(view: BrowserView) -> None:
+    port = int(view.url.rpartition(":")[2])
+    with BrowserView(view.session, port=port) as second:
+        assert int(second.url.rpartition(":")[2]) > port
 
 
 def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(MissingDependency, match=r"pip install 'robot-control-stack\[view\]'"):
-        start_server("127.0.0.1", 0)
+        start_server()
+
+
+def test_one_page_leads_and_when_it_is_gone_the_robot_stays_and_the_next_leads(view: BrowserView) -> None:
+    guide, server = view.session.guides["fr3"], server_of(view)
+    pose = guide.tcp_in_scene + np.array([0.05, 0.1, -0.1, 0, 0, 0, 0])
+    drag(view, "fr3", pose)
+    assert view.leader == 7
+    hear(view, 8)
+    view.submit(lambda: view.session.reset(99), 8)
+    update(view)
+    assert "Another page leads" in words(view)
+    assert view.session.seed == 0
+    update(view, 5)
+    for gone in (8, 7):  # the one that only shows changes nothing
+        hear(view, 7)
+        assert view.leader == 7
+        for callback in server._client_disconnect_cb:
+            asyncio.run(_called(callback, SimpleNamespace(client_id=gone)))
+        view.update()
+    assert view.leader is None
+    for _ in range(20):
+        view.update()
+    stopped = guide.tcp_in_scene
+    for _ in range(30):
+        view.update()
+    assert distance(guide.tcp_in_scene, stopped)[0] < 1e-4
+    assert distance(guide.tcp_in_scene, pose)[0] > 0.05
+    hear(view, 8)
+    view.submit(lambda: view.session.reset(4), 8)
+    view.update()
+    assert (view.leader, view.session.seed) == (8, 4)
+
+
+async def _called(callback: Any, client: Any) -> None:
+    if (waits := callback(client)) is not None:
+        await waits
+
+
+def test_takes_are_made_with_buttons_and_listed(tmp_path: Path) -> None:
+    session = Session(replace(playable(Setup(task="PickCuboid")), stepping="async"), out=tmp_path / "set")
+    with session, BrowserView(session, port=0) as view:
+        panel = view._panel
+        assert panel is not None
+        assert panel._takes is not None
+        give(view, "Take", "Success")
+        assert "no open episode" in words(view)
+        for verdict in ("Success", "Discard", "Failure"):
+            give(view, "Take", "Start")
+            view.update()
+            words(view)
+            assert "recording" in panel._takes.content
+            give(view, "Take", verdict)
+        words(view)
+        assert panel._takes.content == (
+            "000001: failure, 2 rows  \n000001: discarded, 2 rows  \n000000: success, 2 rows"
+        )
+        assert control(view, "Seed").value == 2
+    assert [one.success for one in Dataset.open(tmp_path / "set").episodes] == [True, False]
+
+
+def test_what_is_shown_leaves_the_waiters_of_viser_to_its_own_thread(view: BrowserView) -> None:
+    class Changing:
+        """Waiters that another thread changes."""
+
+        def __iter__(self) -> Iterator[Any]:
+            changed.append(threading.current_thread())
+            raise RuntimeError("deque mutated during iteration")
+
+    changed: list[threading.Thread] = []
+    event = server_of(view)._websock_server._broadcast_buffer.message_event
+    event.clear()
+    event._waiters = Changing()  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]
+    words(view)
+    give(view, "Opening", 0.4)
+    assert threading.current_thread() not in changed
 
 
 def test_closing_twice_is_harmless(view: BrowserView) -> None:
@@ -252,3 +284,106 @@ def test_two_pages_show_the_scene_use_no_network_and_may_be_closed(
 
     until(lambda: colours() > 500)
     assert not chromium.errors
+
+
+@pytest.mark.extras
+def test_another_machine_needs_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    session = Session(replace(playable(Setup(task="Free")), stepping="async"))
+    with session, BrowserView(session, host="0.0.0.0", port=0) as view:
+        assert view.url.startswith("https://")
+        assert server_of(view)._websock_server._host == "127.0.0.1"
+        address, _, code = view.url.partition("?code=")
+        assert len(code) == 8
+        trusting = ssl.create_default_context(cafile=str(tmp_path / "rcs" / "teleop.pem"))
+        with pytest.raises(urllib.error.HTTPError, match="401"):
+            urllib.request.urlopen(address, timeout=20, context=trusting)
+        keeps = urllib.request.build_opener(
+            urllib.request.HTTPCookieProcessor(), urllib.request.HTTPSHandler(context=trusting)
+        )
+        with keeps.open(view.url, timeout=20) as page:
+            assert b"<html" in page.read()
+
+
+@pytest.mark.slow
+@pytest.mark.extras
+@pytest.mark.browser
+def test_a_browser_elsewhere_leads_over_tls(chromium: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.setattr("rcs.rollout.interactive.page_link.VALID_FOR", 60.0)  # it draws without a GPU
+    session = Session(replace(playable(Setup(task="Free")), stepping="async"))
+    with session, BrowserView(session, host="0.0.0.0", port=0) as view:
+        chromium.call("Security.setIgnoreCertificateErrors", ignore=True)
+        chromium.resize(640, 400)
+        chromium.call("Page.navigate", url=view.url)
+        end = time.monotonic() + 120
+        while not chromium.run(f"{CLICK}('Next seed')") or session.seed == 0:
+            assert time.monotonic() < end, chromium.run("document.body.innerText")
+            view.update()
+        assert chromium.run("location.protocol + location.search") == "https:"
+        chromium.call("Page.navigate", url="about:blank")
+        while view.leader is not None:
+            assert time.monotonic() < end
+            view.update()
+
+
+CLICK = """((label) => [...document.querySelectorAll('button')].filter((one) => one.innerText.trim() == label)
+    .map((one) => one.click()).length)"""
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_takes_are_made_on_a_page_and_a_second_one_only_shows(
+    chromium: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcs.rollout.interactive.page_link.VALID_FOR", 60.0)  # it draws without a GPU
+    setup = replace(playable(Setup(task="PickCuboid")), stepping="async")
+    with Session(setup, out=tmp_path / "set") as session, BrowserView(session, port=0) as view:
+        server = server_of(view)
+        chromium.errors.clear()
+        chromium.resize(640, 700)
+        chromium.open(view.url)
+
+        def until(is_true: Callable[[], bool]) -> None:
+            end = time.monotonic() + 120
+            while not is_true():
+                assert time.monotonic() < end, f"errors: {chromium.errors}, {words(view)}"
+                view.update()
+
+        def click(label: str) -> bool:
+            return chromium.run(f"{CLICK}({label!r})") == 1
+
+        def key(letter: str) -> None:
+            for kind in ("keyDown", "keyUp"):
+                chromium.call("Input.dispatchKeyEvent", type=kind, key=letter, code=f"Key{letter.upper()}")
+
+        until(lambda: "Discard" in chromium.run("document.body.innerText"))
+        for begin, verdict in (("Start", "Success"), ("t", "Discard"), ("Start", "n")):
+            for press in (begin, verdict):
+                takes = session.takes
+                before = None if takes is None else takes.now
+                key(press) if len(press) == 1 else until(lambda press=press: click(press))
+                until(lambda before=before: session.takes is not None and session.takes.now != before)
+                until(lambda: session.takes is not None and (session.takes.now is None or session.takes.is_recording))
+        assert session.takes is not None
+        assert [(one.success, one.is_kept) for one in session.takes.ended] == [
+            (True, True),
+            (None, False),
+            (False, True),
+        ]
+        first = chromium._session
+        (leader,) = server.get_clients()
+        assert view.leader == leader
+        target = chromium.call("Target.createTarget", url=view.url, newWindow=True)["targetId"]
+        until(lambda: len(server.get_clients()) == 2)
+        chromium._session = chromium.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        until(lambda: "Discard" in chromium.run("document.body.innerText"))
+        until(lambda: click("Next seed"))
+        until(lambda: "Another page leads" in words(view))
+        assert view.leader == leader
+        chromium._session = first
+        chromium.call("Page.navigate", url="about:blank")
+        until(lambda: view.leader is None)
+        assert all(guide.is_braking for guide in session.guides.values())
+        assert not chromium.errors
+    assert [one.success for one in Dataset.open(tmp_path / "set").episodes] == [True, False]

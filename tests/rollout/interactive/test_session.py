@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset
 
+from rcs.agents import Agent, Event, Guide
+from rcs.envs import Env
 from rcs.envs.setup import Setup
-from rcs.errors import InvalidSetup, SimulationError, UnknownName
+from rcs.envs.spaces import Action, Observation
+from rcs.errors import InvalidSetup, SimulationError, UnknownName, WrongOrder
 from rcs.rollout.interactive.session import Session, playable
+from rcs.teleop import HandReading, Operator
+from tests.teleop.scripted_device import ScriptedDevice, at, held
 
 
 def session_of(task: str = "PickCuboid", robot: str = "fr3", **options: Any) -> Session:
@@ -138,3 +146,141 @@ def test_a_simulation_that_diverges_is_told_and_begins_anew() -> None:
 def test_a_setup_that_cannot_be_made_leaves_nothing_open() -> None:
     with pytest.raises(UnknownName, match="PickCubiod"):
         Session(Setup(task="PickCubiod"))
+
+
+class Asking(Agent):
+    """Decides at 10 Hz, counts, and asks for something at a step."""
+
+    rate: float | None = 10.0
+
+    def __init__(self, env: Env, event: Event, step: int) -> None:
+        (robot,) = env.robots.values()
+        self.guide, self.event, self.step = Guide(env, robot), event, step
+        self.decisions = self.polls = 0
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        self.guide.reset(observation)
+        self.decisions = self.polls = 0
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        self.decisions += 1
+        return self.guide.act(observation, info)
+
+    def events(self) -> Sequence[Event]:
+        self.polls += 1
+        return [self.event] if self.polls == self.step else []
+
+
+@pytest.mark.parametrize(
+    ("event", "verdict", "seed", "acts"),
+    [("stop", "over", 0, True), ("reset", "running", 1, True), ("takeover", "running", 0, False)],
+)
+def test_an_agent_acts_at_its_own_rate_and_what_it_asks_for_is_done(
+    event: Event, verdict: str, seed: int, acts: bool
+) -> None:
+    setup = replace(playable(Setup(task="Free", relative="absolute")), stepping="async")
+    with Session(setup, agent=lambda env: Asking(env, event, 9)) as session:
+        session.let_agent(True)
+        agent = session.agent
+        assert isinstance(agent, Asking)
+        for _ in range(9):
+            assert session.verdict == "running"
+            session.step()
+        assert (session.verdict, session.seed, session.agent is not None) == (verdict, seed, acts)
+        assert agent.decisions == (0 if event == "reset" else 3)
+
+
+def test_takes_are_recorded_with_who_acted(tmp_path: Path) -> None:
+    setup = replace(playable(Setup(task="PickCuboid", relative="absolute")), stepping="async")
+    with Session(setup, out=tmp_path / "set", instructions=("lift it",)) as session:
+        for event, steps in (("start", 4), ("success", 1), ("start", 3), ("discard", 1), ("start", 2)):
+            session.obey(event)
+            for _ in range(steps):
+                session.step()
+        assert session.takes is not None
+        assert [str(take) for take in session.takes.ended] == ["000000: success, 4 rows", "000001: discarded, 3 rows"]
+        assert session.seed == 1  # after the first take the next episode, after a discarded one the same
+    episodes = list(Dataset.open(tmp_path / "set").episodes)
+    assert [(one.id, one.success, one.instruction) for one in episodes] == [
+        ("000000", True, "lift it"),
+        ("000001", None, "lift it"),  # what was open at the end is kept
+    ]
+    words = episodes[0].info.feature("notes/actor").words
+    assert {words[int(number) - 1] for number in episodes[0].column("notes/actor")} == {"page"}
+
+
+def test_an_episode_that_ends_by_itself_ends_the_take_with_the_verdict_of_the_task(tmp_path: Path) -> None:
+    setup = replace(playable(Setup(task="PickCuboid")), stepping="async")
+    with Session(setup, out=tmp_path / "set") as session:
+        session.let_agent(True)
+        session.obey("start")
+        while session.takes is not None and session.takes.now is not None:
+            session.step()
+            assert session.steps < 600
+        assert not session.is_over
+        assert session.seed == 1
+    (episode,) = Dataset.open(tmp_path / "set").episodes
+    assert episode.success
+    assert (episode.outcome or {})["loop"]["steps"] > 50
+
+
+def test_without_a_folder_or_a_take_the_buttons_say_so(tmp_path: Path) -> None:
+    with session_of() as session, pytest.raises(WrongOrder, match="give a folder"):
+        session.obey("start")
+    with Session(replace(playable(Setup(task="Free")), stepping="async"), out=tmp_path / "set") as session:
+        for event, match in (("success", "no open episode"), ("discard", "no take")):
+            with pytest.raises(WrongOrder, match=match):
+                session.obey(event)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
+
+
+def test_real_devices_are_shown_where_they_are_measured_and_stay_when_nobody_leads(tmp_path: Path) -> None:
+    setup = replace(playable(Setup(task="Free", relative="absolute")), frequency=100.0)
+    with Session(setup, hardware="fake", out=tmp_path / "set") as session:
+        guide = session.guides["fr3"]
+        joints = guide.joints
+        joints[0] += 0.5
+        guide.lead_joints_to(joints)
+        session.obey("start")
+        for _ in range(30):
+            session.step()
+        session.release()
+        for _ in range(10):
+            session.step()
+        stopped = session.observation["joints"]
+        for _ in range(20):
+            session.step()
+        np.testing.assert_allclose(session.observation["joints"], stopped, atol=1e-4)
+        assert 0.02 < stopped[0] - guide.robot.arm.home[0] < 0.45
+        assert session._mirror is not None
+        np.testing.assert_allclose(session._mirror.arms["fr3"].joints, session.observation["joints"], atol=1e-9)
+        session.obey("success")
+        assert not session.is_over
+        assert session.seed == 0
+    assert [one.success for one in Dataset.open(tmp_path / "set").episodes] == [True]
+
+
+def test_a_device_leads_in_place_of_the_page_and_its_buttons_make_takes(tmp_path: Path) -> None:
+    now = [0.0]
+
+    def script(t: float) -> HandReading:
+        pressed = [name for name, when in (("start", 0.3), ("success", 1.0)) if when < t < when + 0.1]
+        return held(at(0.0, 0.02 * min(t, 1.0), 1.0), *(["clutch"] if t > 0.2 else []), *pressed)  # type: ignore[arg-type]
+
+    def operator(env: Env) -> Operator:
+        device = ScriptedDevice(script, clock=lambda: now[0])
+        return Operator(env, device, clock=lambda: now[0], has_thread=False)
+
+    setup = replace(playable(Setup(task="PickCuboid")), stepping="async")
+    with Session(setup, agent=operator, out=tmp_path / "set") as session:
+        session.let_agent(True)
+        while session.takes is None or not session.takes.ended:
+            now[0] += 1 / 30
+            session.step()
+            assert now[0] < 2.0
+        assert session.seed == 1
+    (episode,) = Dataset.open(tmp_path / "set").episodes
+    assert episode.success
+    places = episode.column("observation/tquat")
+    assert places[-1][1] - places[0][1] == pytest.approx(0.01, abs=5e-3)
+    words = episode.info.feature("notes/actor").words
+    assert {words[int(number) - 1] for number in episode.column("notes/actor")} == {"agent"}

@@ -13,7 +13,7 @@ from rcs.calibration.printing import sheet_of, text_of, to_pdf
 
 @dataclass(kw_only=True)
 class BoardOptions:
-    """Which board it is."""
+    """A board of AprilTags."""
 
     rows: int = Board.rows
     """Rows of tags."""

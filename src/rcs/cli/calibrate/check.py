@@ -10,9 +10,8 @@ from rcs_data.cli.console import plain_console
 from rcs.calibration import BoardStrategy, verify
 from rcs.cli.calibrate.session import SessionOptions
 from rcs.errors import InvalidSetup
-from rcs.setups.calibration import read_boards
+from rcs.setups.calibration import read_calibration
 from rcs.setups.mounted_camera import MountedCamera
-from rcs.spatial import Pose
 
 
 @dataclass(kw_only=True)
@@ -33,7 +32,7 @@ class CheckCommand(SessionOptions):
     def run(self) -> int:
         """Look, compare, and tell."""
         console = plain_console()
-        boards = read_boards(self.calibration)
+        boards = read_calibration(self.calibration).boards
         if self.camera not in boards:
             raise InvalidSetup(
                 f"{self.calibration} has no board named {self.camera!r} but {sorted(boards)}; `rcs calibrate hand-eye "
@@ -41,14 +40,13 @@ class CheckCommand(SessionOptions):
             )
         known = boards[self.camera]
         setup = self.setup(at=known)
-        with self.session(setup, console) as session:
+        with self.session(setup) as (_, own_lens, look):
             said = MountedCamera.of(self.setup(at=known, calibration=str(self.calibration)), self.camera)
             seen = said.camera.calibration
-            lens = session.intrinsics if seen is None or seen.intrinsics is None else seen.intrinsics
+            lens = own_lens if seen is None or seen.intrinsics is None else seen.intrinsics
             lens = lens.cut(setup.cameras.size_of(self.camera))
-            pose = Pose(known.mount.translation, known.mount.quaternion)
-            strategy = BoardStrategy(said.rig(lens, pose), known.board, views=self.views, seed=self.seed)
-            session.look_around(strategy)
+            strategy = BoardStrategy(said.rig(lens, known.mount.pose), known.board, views=self.views, seed=self.seed)
+            look(strategy)
         found = verify(strategy.rig, known.board, strategy.views)
         console.print(
             f"board {found.pixels:.2f} px from where it is expected, {found.millimetres:.2f} mm and "

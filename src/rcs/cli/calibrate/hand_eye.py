@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rcs_data.cli.console import plain_console
-from rcs_data.output import require_writable
+from rcs_data.files.output import require_writable
 
 from rcs.calibration import hand_eye
 from rcs.cli.calibrate.session import SessionOptions
@@ -37,10 +37,10 @@ class HandEyeCommand(SessionOptions):
         require_writable(self.out, is_file=True)
         console = plain_console()
         setup = self.setup()
-        with self.session(setup, console) as session:
-            lens = self._known_lens(setup) or session.intrinsics
-            strategy = self.strategy(session, setup, lens)
-            session.look_around(strategy)
+        with self.session(setup) as (mounted, own_lens, look):
+            lens = self._known_lens(setup) or own_lens
+            strategy = self.strategy(mounted, setup, lens)
+            look(strategy)
             views = strategy.views
             if self.intrinsics:
                 fit = strategy.intrinsics()
@@ -54,14 +54,14 @@ class HandEyeCommand(SessionOptions):
                 return 1
             write_calibration(
                 self.out,
-                {self.camera: session.mounted.calibration(found, lens)},
-                {self.camera: session.mounted.known_board(found, strategy.board)},
+                {self.camera: mounted.calibration(found, lens)},
+                {self.camera: mounted.known_board(found, strategy.board)},
             )
         console.print(f"{self.out}: camera {self.camera!r}, and the board that it looked at")
         return 0
 
     def _known_lens(self, setup: Setup) -> Intrinsics | None:
         """Return how the camera sees if the file says it already, as `rcs calibrate intrinsics` has found it."""
-        known = read_calibration(self.out).get(self.camera) if self.out.exists() else None
-        seen = None if known is None else known.camera.intrinsics
+        known = read_calibration(self.out).cameras.get(self.camera) if self.out.exists() else None
+        seen = None if known is None else known.intrinsics
         return None if seen is None else seen.cut(setup.cameras.size_of(self.camera))

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from rcs_data.cli.console import plain_console
-from rcs_data.output import require_writable
+from rcs_data.files.output import require_writable
 
 from rcs.calibration import Detections, IntrinsicsFit, detect, fit_intrinsics
-from rcs.calibration.packages import package
 from rcs.cli.calibrate.session import SessionOptions
 from rcs.errors import InvalidSetup
-from rcs.robots.calibration import CameraCalibration
-from rcs.setups.calibration import Calibration, read_calibration, write_calibration
+from rcs.extras import package_of
+from rcs.robots.camera import Calibration
+from rcs.setups.calibration import read_calibration, write_calibration
 from rcs.spatial import Intrinsics
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp")
@@ -39,13 +39,13 @@ class IntrinsicsCommand(SessionOptions):
         require_writable(self.out, is_file=True)
         console = plain_console()
         if self.pictures is not None:
-            rough = fit_intrinsics(self.board, *self._read(self.pictures)).intrinsics
-            fit = fit_intrinsics(self.board, *self._read(self.pictures, rough))
+            rough = fit_intrinsics(self.tags.board, *self._read(self.pictures)).intrinsics
+            fit = fit_intrinsics(self.tags.board, *self._read(self.pictures, rough))
         else:
             setup = self.setup()
-            with self.session(setup, console) as session:
-                strategy = self.strategy(session, setup)
-                session.look_around(strategy)
+            with self.session(setup) as (mounted, lens, look):
+                strategy = self.strategy(mounted, setup, lens)
+                look(strategy)
                 fit = strategy.intrinsics()
         console.print(str(fit))
         self._write(fit)
@@ -56,7 +56,7 @@ class IntrinsicsCommand(SessionOptions):
         files = sorted(path for path in folder.glob("*") if path.suffix.lower() in ENDINGS)
         if not files:
             raise InvalidSetup(f"{folder} has no pictures; valid endings: {', '.join(ENDINGS)}.")
-        cv2 = package("cv2")
+        cv2 = package_of("calibration", "cv2")
         found: list[Detections] = []
         sizes: set[tuple[int, int]] = set()
         for file in files:
@@ -64,13 +64,12 @@ class IntrinsicsCommand(SessionOptions):
             if picture is None:
                 raise InvalidSetup(f"{file} is not a picture that can be read.")
             sizes.add((picture.shape[1], picture.shape[0]))
-            found.append(detect(self.board, picture, lens))
+            found.append(detect(self.tags.board, picture, lens))
         if len(sizes) > 1:
             raise InvalidSetup(f"The pictures in {folder} have several sizes, {sorted(sizes)}; give those of one mode.")
         return found, sizes.pop()
 
     def _write(self, fit: IntrinsicsFit) -> None:
-        before = read_calibration(self.out).get(self.camera) if self.out.exists() else None
+        before = read_calibration(self.out).cameras.get(self.camera) if self.out.exists() else None
         pose = None if before is None else before.optical
-        about = CameraCalibration(intrinsics=fit.intrinsics)
-        write_calibration(self.out, {self.camera: Calibration(optical=pose, camera=about)})
+        write_calibration(self.out, {self.camera: Calibration(optical=pose, intrinsics=fit.intrinsics)})

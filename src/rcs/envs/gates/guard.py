@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -311,22 +312,15 @@ class Guard(Gate):
         return f"Guard: {self.on_hit}, margin {1e3 * self._margin:g} mm, near {1e3 * self._near_margin:g} mm{box}"
 
 
+@dataclass(frozen=True)
 class _Part:
     """How much of a way is admitted, and why not all of it."""
 
-    def __init__(
-        self,
-        fraction: float,
-        why: str,
-        rest: Mapping[str, NDArray[np.float64]] | None = None,
-        *,
-        must_hold: bool = False,
-    ) -> None:
-        self.fraction = fraction
-        """Share of the way from the last command."""
-        self.why = why
-        """The obstacle in the way; empty for none."""
-        self.rest = rest
-        """Joints at which the arms come to rest when they brake now, where even the last command may not continue."""
-        self.must_hold = must_hold
-        """Whether the arms must brake now, as nothing else is free."""
+    fraction: float
+    """Share of the way from the last command."""
+    why: str
+    """The obstacle in the way; empty for none."""
+    rest: Mapping[str, NDArray[np.float64]] | None = None
+    """Joints at which the arms come to rest when they brake now, where even the last command may not continue."""
+    must_hold: bool = False
+    """Whether the arms must brake now, as nothing else is free."""

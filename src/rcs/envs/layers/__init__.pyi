@@ -2,6 +2,7 @@ from rcs.envs.layers.bound_lead import BoundLead as BoundLead
 from rcs.envs.layers.cameras import PointClouds as PointClouds
 from rcs.envs.layers.cameras import WristCamera as WristCamera
 from rcs.envs.layers.cartesian import CartesianControl as CartesianControl
+from rcs.envs.layers.cartesian import TwistControl as TwistControl
 from rcs.envs.layers.cartesian import XyzrpyControl as XyzrpyControl
 from rcs.envs.layers.disturb_actions import DisturbActions as DisturbActions
 from rcs.envs.layers.gripper import BinaryGripper as BinaryGripper
@@ -13,10 +14,8 @@ from rcs.envs.layers.layer import CopyIndex as CopyIndex
 from rcs.envs.layers.layer import Layer as Layer
 from rcs.envs.layers.layer import everywhere as everywhere
 from rcs.envs.layers.layer import renew as renew
-from rcs.envs.layers.limit_pose import LimitPose as LimitPose
-from rcs.envs.layers.limit_step import LimitStep as LimitStep
-from rcs.envs.layers.native_twist import NativeTwist as NativeTwist
+from rcs.envs.layers.limits import LimitPose as LimitPose
+from rcs.envs.layers.limits import LimitStep as LimitStep
+from rcs.envs.layers.limits import NativeTwist as NativeTwist
 from rcs.envs.layers.observe_target import ObserveTarget as ObserveTarget
 from rcs.envs.layers.relative import Relative as Relative
-from rcs.envs.layers.twist import TwistControl as TwistControl
-from rcs.envs.layers.wrapper import LayerWrapper as LayerWrapper

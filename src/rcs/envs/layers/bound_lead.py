@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew, require_xyzrpy
 from rcs.envs.spaces import TQUAT, XYZRPY, Action, Observation
-from rcs.errors import InvalidSetup
 
 LAG = 4.0
 """Steps by which a moving arm may be behind: an FR3 at 0.5 m/s is, at 10 Hz, by 20 cm."""
@@ -41,11 +40,7 @@ class BoundLead(Layer):
         Raises:
             InvalidSetup: It takes no `xyzrpy`.
         """
-        if XYZRPY not in inner:
-            raise InvalidSetup(
-                f"BoundLead is on top of {', '.join(inner) or 'no actions'}; it needs control='xyzrpy' and "
-                "relative='last_step'."
-            )
+        require_xyzrpy(self, inner)
         self._bound = inner[XYZRPY].high
         return inner
 

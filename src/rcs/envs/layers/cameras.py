@@ -19,8 +19,7 @@ from rcs.envs.spaces import (
     POINTS,
     TQUAT,
     Observation,
-    extrinsics_space,
-    points_space,
+    frame_space,
 )
 from rcs.spatial import Pose, deproject, tquat_to_matrix
 
@@ -44,7 +43,7 @@ class WristCamera(Layer):
         assert isinstance(frames, spaces.Dict)
         own = frames[self._camera]
         assert isinstance(own, spaces.Dict)
-        with_pose = spaces.Dict({**own.spaces, EXTRINSICS: extrinsics_space()})
+        with_pose = spaces.Dict({**own.spaces, **frame_space([EXTRINSICS], (0, 0)).spaces})
         return {**inner, FRAMES: spaces.Dict({**frames.spaces, self._camera: with_pose})}
 
     def map_observation(self, observation: Observation) -> Observation:
@@ -76,7 +75,7 @@ class PointClouds(Layer):
             added[name] = own
             if {DEPTH, EXTRINSICS} <= own.spaces.keys():
                 height, width = own[DEPTH].shape or (0, 0)
-                added[name] = spaces.Dict({**own.spaces, POINTS: points_space(width, height)})
+                added[name] = spaces.Dict({**own.spaces, **frame_space([POINTS], (width, height)).spaces})
         return {**inner, FRAMES: spaces.Dict(added)}
 
     def map_observation(self, observation: Observation) -> Observation:

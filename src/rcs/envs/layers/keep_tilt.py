@@ -9,9 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew, replaced, require_xyzrpy
 from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, XYZYAW, Action, Observation
-from rcs.errors import InvalidSetup
 from rcs.kinematics.chain import POSE
 from rcs.spatial import compose, inverse, tquat_to_xyzrpy, xyzrpy_to_tquat
 
@@ -43,14 +42,10 @@ class KeepTilt(Layer):
         Raises:
             InvalidSetup: The level below takes no `xyzrpy`.
         """
-        if XYZRPY not in inner:
-            raise InvalidSetup(
-                f"KeepTilt is on top of {', '.join(inner) or 'no actions'}; it needs control='xyzrpy' and "
-                "relative='last_step'."
-            )
+        require_xyzrpy(self, inner)
         self._bound = box = inner[XYZRPY].high
         own = spaces.Box(-box[KEPT], box[KEPT], dtype=np.float64)
-        return {(XYZYAW if key == XYZRPY else key): (own if key == XYZRPY else space) for key, space in inner.items()}
+        return replaced(inner, XYZRPY, XYZYAW, own)
 
     def observation_spaces(self, inner: Mapping[str, spaces.Space[Any]]) -> dict[str, spaces.Space[Any]]:
         """Look how many joints the arm has; the observations are those of the level below."""
@@ -78,7 +73,7 @@ class KeepTilt(Layer):
         full[..., KEPT] = given
         full[..., 3:] = tquat_to_xyzrpy(compose(xyzrpy_to_tquat(full), _back(self._start, self._last)))[..., 3:]
         full = np.minimum(np.maximum(full, -self._bound), self._bound)
-        return {(XYZRPY if key == XYZYAW else key): (full if key == XYZYAW else own) for key, own in action.items()}
+        return replaced(action, XYZYAW, XYZRPY, full)
 
     def map_executed(self, executed: Action) -> Action:
         """Go on from what was sent."""

@@ -17,7 +17,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.spaces import Action, Observation
+from rcs.envs.spaces import XYZRPY, Action, Observation
+from rcs.errors import InvalidSetup
 
 ActionSpaces = dict[str, spaces.Box]
 """Space of every key of an action."""
@@ -99,3 +100,16 @@ def renew(old: NDArray[Any] | None, new: NDArray[Any], where: CopyIndex) -> NDAr
 def replaced(values: Mapping[str, Any], key: str, new_key: str, value: Any) -> dict[str, Any]:
     """Return values by key in which one key and its value are replaced, in the same place."""
     return {(new_key if own == key else own): (value if own == key else kept) for own, kept in values.items()}
+
+
+def require_xyzrpy(layer: Layer, inner: ActionSpaces) -> None:
+    """Check that a layer that changes relative `xyzrpy` is on top of it.
+
+    Raises:
+        InvalidSetup: The level below takes no `xyzrpy`.
+    """
+    if XYZRPY not in inner:
+        raise InvalidSetup(
+            f"{layer} is on top of {', '.join(inner) or 'no actions'}; it needs control='xyzrpy' and "
+            "relative='last_step'."
+        )

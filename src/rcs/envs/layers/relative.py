@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import clip_rows
-from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew
-from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, Action, Control, Observation, require_direction, xyzrpy_space
+from rcs.envs.layers.layer import ActionSpaces, CopyIndex, Layer, everywhere, renew, replaced
+from rcs.envs.spaces import JOINTS, ORIGIN, TQUAT, XYZRPY, Action, Control, Observation, require_direction, xyzrpy_space
 from rcs.spatial import compose, distance, interpolate, normalize, xyzrpy_to_tquat
 
 Reference = Literal["last_step", "origin"]
@@ -81,10 +81,7 @@ class Relative(Layer):
             # Of the two quaternions of a small rotation, the one near 1: every member of the space has a direction.
             lower[6] = np.cos(self._max_rotation / 2)
         difference = spaces.Box(lower, bound, dtype=np.float64)
-        return {
-            (self._control if key == self._key else key): (difference if key == self._key else value)
-            for key, value in inner.items()
-        }
+        return replaced(inner, self._key, self._control, difference)
 
     def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:
         """Start from the measured joints or pose."""
@@ -94,6 +91,10 @@ class Relative(Layer):
     def rebase(self, observation: Observation) -> None:
         """Use the measured joints or pose as reference and origin."""
         self._reference = self._last = observation[self._key].copy()
+
+    def info(self) -> dict[str, NDArray[Any]]:
+        """Return the origin of differences to one: joints or pose."""
+        return {} if self._to != "origin" or self._reference is None else {ORIGIN: self._reference}
 
     def set_origin(self) -> None:
         """Take the last target as the origin of all copies."""
@@ -118,10 +119,8 @@ class Relative(Layer):
                 target = np.minimum(np.maximum(target, lower), upper)
         else:
             target = self._move(self._reference, difference)
-        mapped: Action = {key: value for key, value in action.items() if key != self._control}
         # Poses are returned as tquat, since this layer also converts xyzrpy.
-        mapped[self._key] = target
-        return mapped
+        return replaced(action, self._control, self._key, target)
 
     def map_executed(self, executed: Action) -> Action:
         """Continue from the executed target of the level below, not from the requested one."""

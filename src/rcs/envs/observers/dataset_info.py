@@ -6,24 +6,29 @@ import importlib.metadata
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 from gymnasium import spaces
 from rcs_data import DatasetInfo, Encoding, Feature, JointBounds
-from rcs_data.feature import Colour
-from rcs_data.flags import flags_key
+from rcs_data.files.feature import Colour, DType
+from rcs_data.files.flags import flags_key
 
 from rcs.devices import lookup
 from rcs.envs import spaces as keys
 from rcs.envs.env import Env
+from rcs.envs.observer import Note
 from rcs.envs.setup import Setup
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription
 
 OBSERVATION, ACTION, EXECUTED, NOTES = "observation", "action", "executed", "notes"
-TIME_MONOTONIC, TIME_PERIOD = "time/monotonic", "time/period"
+TIME_MONOTONIC, TIME_PERIOD, TIME_COMMAND = "time/monotonic", "time/period", "time/command"
+"""Times of a row [s]: when the observation was complete, how long after that of the row before, and when the targets
+that led to it were sent."""
 SIMULATED_TIME = "simulated_time"
+TIME_DEVICE = "time/device"
+"""Start of the keys of times on devices' own clocks."""
 OBJECTS = "objects"
 """Key of an outcome: where the task's objects were at the start, by name, translation [m] and quaternion xyzw in the
 base frame (of several robots: in the scene). Real recordings that have it can be replayed in simulation."""
@@ -37,17 +42,17 @@ def dataset_info(
     instruction: str | None = None,
     colour: Colour = "jpeg",
     jpeg_quality: int = 95,
-    notes: Sequence[str] = (),
+    notes: Sequence[str | Note] = (),
 ) -> DatasetInfo:
     """Return the info of a dataset of an environment's episodes.
 
     Args:
         env: The environment, or a batch of copies of one.
         instruction: Instruction for the robot; None for the environment's instruction.
-        colour: Encoding of colour frames; docs/data.md compares sizes and quality. Videos are made when an episode is
-            finished.
+        colour: Encoding of colour frames; docs/data.md compares sizes and quality.
         jpeg_quality: JPEG quality of colour frames, 1 to 100.
-        notes: Names of numbers that `env.note` may give beside a step, recorded as `notes/name`; NaN where it did not.
+        notes: What `env.note` may give beside a step, recorded as `notes/name`: vectors and words as `Note`s, numbers
+            by their names alone. Where it did not, numbers are NaN.
 
     Raises:
         InvalidSetup: Steps of the environment have no fixed rate.
@@ -56,7 +61,8 @@ def dataset_info(
     if setup is not None:
         require_recordable(setup)
     features = _features(OBSERVATION, env.stack.observation_space.spaces, colour)
-    features = with_limits(features, None if setup is None else setup.robot)
+    is_foreign = not isinstance(env, VecEnv) and not env.robots  # in a simulator of another project
+    features = with_limits(features, None if setup is None or is_foreign else setup.robot)
     features += _features(ACTION, env.stack.action_space.spaces, colour)
     features += _features(EXECUTED, env.stack.executed_spaces, colour)
     features += [
@@ -65,14 +71,18 @@ def dataset_info(
         Feature(key="truncated", shape=(), dtype="bool"),
         Feature(key=TIME_MONOTONIC, shape=(), dtype="float64", unit="s"),
         Feature(key=TIME_PERIOD, shape=(), dtype="float64", unit="s"),
+        Feature(key=TIME_COMMAND, shape=(), dtype="float64", unit="s"),
     ]
     simulated = env.simulation if isinstance(env, VecEnv) or env.is_simulated else None
     if simulated is not None:
         features.append(Feature(key=SIMULATED_TIME, shape=(), dtype="float64", unit="s"))
     features += [Feature(key=f"time/{key}", shape=(), dtype="float64", unit="s") for key in env.stack.timed]
+    timed_by_device = [] if isinstance(env, VecEnv) else env.stack.device_timed
+    features += [Feature(key=f"{TIME_DEVICE}/{key}", shape=(), dtype="float64", unit="s") for key in timed_by_device]
     sensors = [name for key in env.stack.timed if (name := camera_of_time(key)) is not None]
     features += [Feature(key=flags_key(name), shape=(), dtype="uint8") for name in sensors]
-    features += [Feature(key=f"{NOTES}/{name}", shape=(), dtype="float64") for name in notes]
+    notes = [*_origins(env), *notes]
+    features += [_note(note if isinstance(note, Note) else Note(note)) for note in notes]
     return DatasetInfo(
         frequency=env.frequency,
         features=tuple(features),
@@ -83,6 +93,26 @@ def dataset_info(
         versions=versions(),
         origin={"platform": dict(env.platform), **env.stack.about},
     )
+
+
+def _origins(env: Env | VecEnv) -> list[Note]:
+    """Return a note for the origin of each robot's relative actions, where they have one."""
+    setup = env.setup if isinstance(env, VecEnv) or env.has_setup else None
+    if setup is None or setup.relative != "origin":
+        return []
+    key = keys.JOINTS if setup.control == keys.JOINTS else keys.TQUAT
+    spaces_of: dict[str, Any] = {name: chain.observation_spaces for name, chain in env.stack.chains.items()}
+    return [
+        Note(f"{name}/{keys.ORIGIN}".lstrip("/"), size=int(own[key].shape[0]), unit=keys.UNITS[key])
+        for name, own in spaces_of.items()
+        if key in own
+    ]
+
+
+def _note(note: Note) -> Feature:
+    shape = () if note.size is None else (note.size,)
+    dtype: DType = "uint8" if note.words else "float64"
+    return Feature(key=f"{NOTES}/{note.name}", shape=shape, dtype=dtype, unit=note.unit, words=note.words)
 
 
 def versions() -> dict[str, str]:
@@ -113,9 +143,8 @@ def _features(prefix: str, entries: Mapping[str, spaces.Space[Any]], colour: Col
         }  # fmt: skip
         encoding = encodings.get(key, "plain")
         unit = keys.UNITS.get(key, "")
-        features.append(
-            Feature(key=f"{prefix}/{key}", shape=space.shape, dtype=str(space.dtype), unit=unit, encoding=encoding)
-        )
+        dtype = cast("DType", str(space.dtype))  # checked by the feature
+        features.append(Feature(key=f"{prefix}/{key}", shape=space.shape, dtype=dtype, unit=unit, encoding=encoding))
     return features
 
 

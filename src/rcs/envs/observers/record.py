@@ -8,20 +8,20 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rcs_data import Dataset, DatasetWriter
-from rcs_data.feature import Colour
+from rcs_data.files.feature import Colour
 
 from rcs.envs.env import Env
+from rcs.envs.observer import Note
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
-from rcs.envs.observers.takes import Takes
 from rcs.envs.step.stack import for_all
 from rcs.envs.vector import VecEnv
 
 
 @contextmanager
 def record(
-    env: Env, out: str | Path, *, colour: Colour = "jpeg", jpeg_quality: int = 95, notes: Sequence[str] = ()
-) -> Generator[Takes]:
+    env: Env, out: str | Path, *, colour: Colour = "jpeg", jpeg_quality: int = 95, notes: Sequence[str | Note] = ()
+) -> Generator[Recorder]:
     """Record takes that a person starts, judges and discards.
 
     Args:
@@ -29,25 +29,25 @@ def record(
         out: The dataset's folder; an existing one is continued.
         colour: Encoding of colour frames.
         jpeg_quality: JPEG quality of colour frames, 1 to 100.
-        notes: Names of numbers from `env.note` to record.
+        notes: What `env.note` gives to record; see `dataset_info`.
 
     Yields:
-        The takes. A take that is open at the end is kept without a verdict.
+        The recorder. A take that is open at the end is kept without a verdict.
 
     Example:
         >>> import rcs
         >>> env = rcs.make("PickCuboid")
-        >>> with rcs.record(env, "takes") as takes:
-        ...     takes.start(at_reset=True)
+        >>> with rcs.record(env, "takes") as recorder:
+        ...     recorder.start(at_reset=True)
         ...     observation, info = env.reset(seed=0)
-        ...     takes.stop(success=True)
+        ...     recorder.finish(success=True)
     """
     info = dataset_info(env, colour=colour, jpeg_quality=jpeg_quality, notes=notes)
     with DatasetWriter.open(Path(out), info, resume=True) as writer:
         recorder = recorder_of(env, writer)
         env.add_observer(recorder)
         try:
-            yield Takes(recorder, writer)
+            yield recorder
         finally:
             recorder.close()
             env.remove_observer(recorder)
@@ -55,7 +55,12 @@ def record(
 
 @contextmanager
 def record_all(
-    env: Env | VecEnv, out: str | Path, *, colour: Colour = "jpeg", jpeg_quality: int = 95, notes: Sequence[str] = ()
+    env: Env | VecEnv,
+    out: str | Path,
+    *,
+    colour: Colour = "jpeg",
+    jpeg_quality: int = 95,
+    notes: Sequence[str | Note] = (),
 ) -> Generator[None]:
     """Record every episode from reset to end, judged by the task; for a batch, those of all copies at once.
 

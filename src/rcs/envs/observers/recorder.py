@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -9,9 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rcs_data import DatasetWriter, EpisodeRecord, EpisodeWriter
-from rcs_data.background import BackgroundEpisode
-from rcs_data.flags import FrameFlag, camera_of, flags_key
+from rcs_data import Dataset, DatasetWriter, EpisodeRecord, EpisodeWriter, Feature
+from rcs_data.files.flags import FrameFlag, camera_of, flags_key
+from rcs_data.record.background import BackgroundEpisode
 
 from rcs.envs.observer import Observer, Transition
 from rcs.envs.observers.dataset_info import (
@@ -21,21 +22,27 @@ from rcs.envs.observers.dataset_info import (
     OBJECTS,
     OBSERVATION,
     SIMULATED_TIME,
+    TIME_COMMAND,
+    TIME_DEVICE,
     TIME_MONOTONIC,
     TIME_PERIOD,
     camera_of_time,
     is_derived,
 )
-from rcs.errors import DeviceFault, WrongOrder
+from rcs.envs.spaces import ORIGIN
+from rcs.errors import InvalidSetup, WrongOrder
 
 END, REASONS = "end", "reasons"
 """Keys of the outcome of an episode that was broken off: `fault`, `exception` or `closed`; the faults by device, or the
 error's message by its class."""
+RECONNECTIONS = "reconnections"
+"""Key of an outcome: how often devices were connected again during the episode, by key, where they were."""
 
 
 class Recorder(Observer):
     """Writes the episodes of one environment. An episode is kept by `finish` and dropped by `discard`.
 
+    A person's episodes are takes: `start` numbers them after the last episode of the dataset, and `retake` repeats one.
     A new reset discards an open episode, which is then repeated. An episode that was broken off, by a fault or an
     error, is different: its outcome says `end` and `reasons`, and unless it is discarded on purpose it is kept, by the
     next reset or by `close`, without a verdict. `close` keeps an episode that is still open in the same way. A frame
@@ -49,7 +56,6 @@ class Recorder(Observer):
         names: Iterator[str] | None = None,
         background: bool = False,
         stale_after: float | None = None,
-        abort_after: float | None = None,
     ) -> None:
         """Record into a dataset.
 
@@ -61,23 +67,27 @@ class Recorder(Observer):
                 writer that is too slow leaves out images, flagged and counted; otherwise the loop waits for it.
             stale_after: Age [s] of a frame, from capture to the end of the step, from which it is flagged as stale;
                 None for never, as simulated frames are as old as their drawing takes.
-            abort_after: Age [s] of a frame from which the episode is given up: its rows are kept for `recover`, and the
-                step raises. None for never.
         """
         self._names = names
         self._broken_off: dict[str, Any] = {}
         self._objects: dict[str, Any] = {}
+        self._reconnections: Mapping[str, int] = {}
+        self._first_reconnections: Mapping[str, int] = {}
         self._writer = writer
         self._is_background = background
         self._stale_after = stale_after
-        self._abort_after = abort_after
         self._episode: EpisodeWriter | BackgroundEpisode | None = None
         self._next: tuple[str, str | None] | None = None
         self._starts_at_reset = True
+        self._number: int | None = None
+        """Number of the next take; None before the first."""
+        self._take: tuple[str, str | None] | None = None
+        """Id and instruction of the take under way."""
+        self._last_take: tuple[str, str | None] | None = None
         self._last_time = 0.0
         self._last_captures: dict[str, float] = {}
         self._dtypes = {feature.key: feature.numpy_dtype for feature in writer.info.features}
-        self._notes = [key.removeprefix(f"{NOTES}/") for key in self._dtypes if key.startswith(f"{NOTES}/")]
+        self._notes = {one.key: one for one in writer.info.features if one.key.startswith(f"{NOTES}/")}
         self._images: dict[str, list[str]] = {}
         for feature in writer.info.features:
             camera = camera_of(feature.key)
@@ -88,6 +98,11 @@ class Recorder(Observer):
     def is_recording(self) -> bool:
         """Whether an episode is open."""
         return self._episode is not None
+
+    @property
+    def take(self) -> str | None:
+        """Id of the take under way; None for none."""
+        return None if self._take is None else self._take[0]
 
     @property
     def rows(self) -> int:
@@ -105,9 +120,58 @@ class Recorder(Observer):
         self._next = (episode_id, instruction)
         self._starts_at_reset = at_reset
 
+    def free_name(self, episode_id: str) -> str:
+        """Return an id that no episode has: the given one, or with a number where a killed run has left that."""
+        taken, name, number = Dataset.open(self._writer.path), episode_id, 1
+        while name in taken:
+            number += 1
+            name = f"{episode_id}-{number}"
+        return name
+
     def forget_next(self) -> None:
         """Take back what `name_next` set."""
         self._next = None
+
+    def start(self, instruction: str | None = None, *, at_reset: bool = False) -> str:
+        """Begin a take with the next step or reset and return its id; a discarded take's number is given to the next.
+
+        Args:
+            instruction: Instruction for the robot; None for the dataset's instruction.
+            at_reset: Whether to wait for the next reset, instead of beginning with the next step.
+
+        Raises:
+            WrongOrder: A take is under way.
+        """
+        if self._take is not None:
+            raise WrongOrder(f"Take {self._take[0]!r} is under way; finish or discard it before the next.")
+        if self._number is None:
+            numbers = (int(one.id) for one in Dataset.open(self._writer.path).episodes if one.id.isdigit())
+            self._number = max(numbers, default=-1) + 1
+        self._begin_take(f"{self._number:06d}", instruction, at_reset)
+        self._number += 1
+        return f"{self._number - 1:06d}"
+
+    def retake(self, *, at_reset: bool = False) -> str:
+        """Repeat the take under way, or else the last one kept, under the same id and instruction.
+
+        Args:
+            at_reset: As in `start`.
+
+        Raises:
+            WrongOrder: There was no take yet.
+        """
+        again = self._take or self._last_take
+        if again is None:
+            raise WrongOrder("There is no take to repeat; start one first.")
+        if self._take is None:
+            self._writer.remove_episode(again[0])
+        self._drop()
+        self._begin_take(*again, at_reset)
+        return again[0]
+
+    def _begin_take(self, take: str, instruction: str | None, at_reset: bool) -> None:
+        self.name_next(take, instruction=instruction, at_reset=at_reset)
+        self._take, self._last_take = (take, instruction), None
 
     def on_reset(self, first: Transition, seed: int | None) -> None:
         """Begin an episode with its first observation."""
@@ -121,7 +185,6 @@ class Recorder(Observer):
         """Record a step.
 
         Raises:
-            DeviceFault: A camera has given nothing new for `abort_after`; the episode is aborted.
             InvalidSetup: A value is not what the dataset has; the row is not recorded, and the episode stays open.
             DatasetError: The disk is full or fails; the episode is aborted.
         """
@@ -161,6 +224,7 @@ class Recorder(Observer):
             "truncated": transition.truncated,
             TIME_MONOTONIC: transition.time,
             TIME_PERIOD: period,
+            TIME_COMMAND: transition.command_time,
         }
         if transition.sim_state is not None:
             row[SIMULATED_TIME] = transition.info["time"]
@@ -171,8 +235,10 @@ class Recorder(Observer):
             row.update({key: np.asarray(value, self._dtypes[key]) for key, value in given.items()})
             row.update(_flat(EXECUTED, transition.executed))
             row["reward"] = transition.reward
-        for name in self._notes:
-            row[f"{NOTES}/{name}"] = float(transition.notes.get(name, np.nan))
+        for key, feature in self._notes.items():
+            name = key.removeprefix(f"{NOTES}/")
+            is_origin = name.rpartition("/")[2] == ORIGIN  # a layer has it, not whoever acts
+            row[key] = _noted(feature, (transition.info if is_origin else transition.notes).get(name))
         captures: dict[str, float] = {}
         for key, captured in transition.capture_times.items():
             row[f"time/{key}"] = captured
@@ -181,18 +247,13 @@ class Recorder(Observer):
                 row[flags_key(camera)] = flags = self._flags(camera, captured, transition.time)
                 if flags & FrameFlag.REPEATED:
                     row.update(dict.fromkeys(self._images.get(camera, ())))
+        for key, at in transition.device_times.items():
+            row[f"{TIME_DEVICE}/{key}"] = at if math.isfinite(at) else None
+        self._reconnections = transition.info.get(RECONNECTIONS, {})
+        if period is None:
+            self._first_reconnections = self._reconnections
         self._last_captures = captures
         self._episode.add(row, transition.sim_state)
-        self._abort_if_late(transition)
-
-    def _abort_if_late(self, transition: Transition) -> None:
-        for camera, captured in self._last_captures.items():
-            age = transition.time - captured
-            if self._episode is not None and self._abort_after is not None and age > self._abort_after:
-                reason = f"Camera {camera!r} has given nothing new for {age:.2f} s."
-                self._episode.abort(reason)
-                self._episode = None
-                raise DeviceFault(f"{reason} The episode is aborted; `rcs data recover` keeps its rows.")
 
     def _flags(self, camera: str, captured: float, now: float) -> int:
         flags = FrameFlag(0)
@@ -216,11 +277,19 @@ class Recorder(Observer):
         Raises:
             WrongOrder: No episode is open.
         """
+        if self._episode is None and self._take is not None:
+            raise WrongOrder(
+                f"Take {self._take[0]!r} has no observation yet; step or reset the environment, or discard it."
+            )
         if self._episode is None:
-            raise WrongOrder("There is no open episode to finish; reset the environment first.")
-        facts = {**self._objects, **self._broken_off, **(outcome or {})}
+            raise WrongOrder("There is no open episode to finish; start a take, or reset the environment first.")
+        begun = self._first_reconnections
+        again = {key: n for key, total in self._reconnections.items() if (n := total - begun.get(key, 0))}
+        told = {RECONNECTIONS: again} if again else {}
+        facts = {**self._objects, **told, **self._broken_off, **(outcome or {})}
         record = self._episode.finish(success, facts, instruction=instruction)
         self._episode = None
+        self._take, self._last_take = None, self._take
         return record
 
     @contextmanager
@@ -234,7 +303,15 @@ class Recorder(Observer):
             raise
 
     def discard(self) -> None:
-        """Drop the open episode with all its rows, if there is one."""
+        """Drop the open episode with all its rows, and the take under way, if there is one."""
+        self._drop()
+        if self._take is not None:
+            self.forget_next()
+            if self._number is not None and self._take[0] == f"{self._number - 1:06d}":
+                self._number -= 1
+        self._take = None
+
+    def _drop(self) -> None:
         if self._episode is not None:
             episode, self._episode = self._episode, None
             episode.discard()
@@ -257,10 +334,29 @@ class Recorder(Observer):
         finished all the same.
         """
         if self._episode is not None and self._episode.state in ("aborted", "finished"):
-            self._episode = None
+            self._episode = self._take = None
         if self._episode is not None and self._broken_off and self._episode.rows:
             self.finish(None)
-        self.discard()
+        if self._episode is not None:
+            self._take = None
+        self._drop()
+
+
+def _noted(feature: Feature, given: Any) -> NDArray[Any]:
+    """Return a note as a dataset has it.
+
+    Raises:
+        InvalidSetup: It has another form than the dataset's, or is a word that the dataset does not know.
+    """
+    if feature.words:
+        if given is not None and given not in feature.words:
+            raise InvalidSetup(f"{feature.key} is {given!r}; valid: {', '.join(feature.words)}, or none.")
+        return np.array(0 if given is None else 1 + feature.words.index(given), np.uint8)
+    try:
+        return np.broadcast_to(np.asarray(np.nan if given is None else given, np.float64), feature.shape)
+    except ValueError as err:
+        valid = f"{feature.size} numbers" if feature.shape else "a number"
+        raise InvalidSetup(f"{feature.key} is {given!r}; valid is {valid}. {err}") from err
 
 
 def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:

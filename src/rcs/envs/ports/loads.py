@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Protocol
 
 import mujoco
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs._core import FreeBodyVelocity
+from rcs._core import FingerContacts, FreeBodyVelocity
 from rcs.envs import spaces as keys
 from rcs.envs.ports.port import Port
 from rcs.envs.spaces import Observation
 from rcs.envs.start import base_in_scene, in_frame_of
 from rcs.envs.task import Task
 from rcs.errors import InvalidSetup
-from rcs.sim.loads import SimContacts, SimLoads
+from rcs.sim.loads import SimLoads
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
 from rcs.spatial import Pose
+
+TOUCH_FORCE = 0.5
+"""Least normal force of a finger that counts as contact [N] (ManiSkill's PickCube)."""
 
 
 class SimLoadPort(Port):
@@ -47,20 +49,32 @@ class SimContactPort(Port):
     """Which fingers of a simulated gripper or hand touch something, and whether they hold an object."""
 
     def __init__(self, robot: SimRobot) -> None:
-        """Use the fingers of a robot.
+        """Measure the contacts of a gripper's pads, or of a hand's fingers.
 
         Raises:
-            InvalidSetup: It has none.
+            InvalidSetup: The robot has neither.
         """
-        self._contacts = SimContacts(robot)
+        world, placement = robot.world, robot.placement
+        if placement.gripper is not None:
+            fingers = list(placement.gripper.pad_geoms)
+        elif placement.hand is not None:
+            fingers = list(placement.hand.finger_geoms.values())
+        else:
+            raise InvalidSetup(f"Robot {placement.name!r} has no fingers whose contacts could be observed.")
+        flags = [world.geom_flags(placement.gripper_prefix + name for name in names) for names in fingers]
+        own = world.subtree_flags(placement.base_body)[: world.model.ngeom]
+        self._world = world
+        self._first = world.core.measure(FingerContacts(world.model, flags, own, TOUCH_FORCE))
+        self._last = self._first + len(fingers)
         self.observation_spaces = {
-            keys.FINGER_CONTACTS: keys.flags_space(self._contacts.fingers),
+            keys.FINGER_CONTACTS: keys.flags_space(len(fingers)),
             keys.IS_GRASPED: keys.flags_space(1),
         }
 
     def observe(self) -> Observation:
-        """Read the flags."""
-        return {keys.FINGER_CONTACTS: self._contacts.touches, keys.IS_GRASPED: self._contacts.is_grasped}
+        """Read which fingers touch something other than the robot, and whether two touch the same movable object."""
+        flags = self._world.measurements[..., self._first : self._last + 1].astype(np.uint8)
+        return {keys.FINGER_CONTACTS: flags[..., :-1], keys.IS_GRASPED: flags[..., -1:]}
 
 
 class PrivilegedPort(Port):
@@ -88,7 +102,7 @@ class PrivilegedPort(Port):
                 f"{', '.join(sorted(task.objects()))}."
             )
         self._objects = {name: _motion_of(world, robots, task, name) for name in poses}
-        own = spaces.Dict({keys.TQUAT: keys.object_space(), keys.VELOCITY: keys.twist_space()})
+        own = keys.object_space()
         self.observation_spaces = {keys.PRIVILEGED: spaces.Dict(dict.fromkeys(self._objects, own))}
 
     def observe(self) -> Observation:
@@ -101,20 +115,11 @@ class PrivilegedPort(Port):
         }
 
 
-class _Motion(Protocol):
-    """How an object moves, in the base frame of the robot; with several robots, in the scene."""
-
-    def pose(self) -> NDArray[np.float64]:
-        """Return translation [m] and quaternion xyzw, (*leading, 7)."""
-        ...
-
-    def velocity(self) -> NDArray[np.float64]:
-        """Return the velocity of the origin [m/s] and the angular velocity [rad/s], (*leading, 6)."""
-        ...
-
-
 class _RigidMotion:
-    """Motion of a body that is free, or that only the task places, such as a mark; the threads that step read it."""
+    """Motion of a body that is free, or that only the task places, such as a mark; the threads that step read it.
+
+    Motions are in the base frame of the robot; with several robots, in the scene.
+    """
 
     def __init__(self, world: World, body: int, frame_body: int, joint: int | None) -> None:
         self._world = world
@@ -122,11 +127,11 @@ class _RigidMotion:
         self._first = None if joint is None else world.core.measure(FreeBodyVelocity(world.model, joint, frame_body))
 
     def pose(self) -> NDArray[np.float64]:
-        """Return what was read."""
+        """Return translation [m] and quaternion xyzw, (*leading, 7), as they were read."""
         return self._world.poses[..., self._pose, :].copy()
 
     def velocity(self) -> NDArray[np.float64]:
-        """Return what was measured, and zeros for a body without a joint."""
+        """Return velocity [m/s] and angular velocity [rad/s] of the origin, (*leading, 6); zeros without a joint."""
         if self._first is None:
             return np.zeros((*self._world.leading, 6))
         return self._world.measurements[..., self._first : self._first + 6].copy()
@@ -166,7 +171,7 @@ class _SoftMotion:
         return np.concatenate([_turned(self._scene_in_base, part) for part in (mean, angular)], -1)
 
 
-def _motion_of(world: World, robots: list[SimRobot], task: Task, name: str) -> _Motion:
+def _motion_of(world: World, robots: list[SimRobot], task: Task, name: str) -> _RigidMotion | _SoftMotion:
     model = world.model
     body = model.body(name).id
     joint = int(model.body_jntadr[body])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Any, TypeGuard
 
@@ -19,16 +19,19 @@ from numpy.typing import ArrayLike, NDArray
 from rcs._core import HostedArm
 from rcs.devices import Arm, Gripper, GripperState, Hand, StreamedArm
 from rcs.envs import spaces as keys
-from rcs.envs.layers.limit_step import LimitStep
-from rcs.envs.ports.device_calls import DeviceCalls
-from rcs.envs.ports.freshness import Freshness
+from rcs.envs.layers.limits import LimitStep
+from rcs.envs.ports.device_calls import DeviceCalls, Freshness
 from rcs.envs.spaces import Arrays, Observation
 from rcs.errors import InvalidSetup
 from rcs.kinematics import Kinematics
+from rcs.sim.robot import SimRobot
 from rcs.spatial import Pose
 
 OVERSHOOT = 0.1
 """How far a joint may be measured outside its command limits [rad]: servos overshoot and collisions push."""
+
+JUMP = 0.2
+"""A joint that is farther from its body in the world than this is put there at once [rad]: an episode has begun."""
 
 
 def is_streamed(device: object) -> TypeGuard[StreamedArm | HostedArm]:
@@ -54,6 +57,9 @@ class Port(ABC):
     device: Arm | Gripper | Hand | None = None
     """The device that the port opens, holds and closes, where it is one behind a device interface."""
 
+    follower: SimRobot | None = None
+    """The body in the simulated world that is driven to where the device is measured."""
+
     @property
     def about(self) -> Mapping[str, Any]:
         """Facts about the port's sensors for recordings, as JSON values: dictionaries by name under each key."""
@@ -68,6 +74,14 @@ class Port(ABC):
 
     def capture_times(self) -> dict[str, float]:
         """Return when each sensor was last read [s, monotonic clock of the host], by its key."""
+        return {}
+
+    def device_times(self) -> dict[str, float]:
+        """Return the same moments on the devices' own clocks [s], by key; NaN for a device without one."""
+        return {}
+
+    def reconnections(self) -> dict[str, int]:
+        """Return how often devices were connected again since `open`, by key, where they were."""
         return {}
 
     def ages(self) -> dict[str, Any]:
@@ -118,6 +132,20 @@ class Port(ABC):
         """Let go of the device; closing twice is harmless."""
         if self.device is not None:
             self.device.close()
+
+    def _followed(self, measured: Observation) -> Observation:
+        """Have the follower go where the device is measured; return the measurement."""
+        if (body := self.follower) is not None:
+            if keys.JOINTS in measured:
+                if np.abs(measured[keys.JOINTS] - body.joints).max() > JUMP:
+                    body.put(measured[keys.JOINTS])
+                    body.world.refresh()
+                body.command_joints(measured[keys.JOINTS])
+            if keys.GRIPPER in measured:
+                body.command_opening(measured[keys.GRIPPER])
+            if keys.HAND in measured:
+                body.command_hand(measured[keys.HAND])
+        return measured
 
 
 def arm_observation_spaces(joints: spaces.Box) -> dict[str, spaces.Space[Any]]:
@@ -232,28 +260,31 @@ class ArmPort(Port):
             loads[key] = np.array(state.efforts if key == keys.JOINT_TORQUES else state.wrench, np.float64)
             if loads[key].shape != self.observation_spaces[key].shape:
                 raise InvalidSetup(f"{self._arm.name} does not measure {key!r}; leave it out of `observe`.")
-        return {
-            **loads,
-            keys.JOINTS: np.array(state.joints),
-            keys.TQUAT: pose.tquat,
-            keys.XYZRPY: pose.xyzrpy,
-            keys.JOINT_VELOCITIES: np.array(state.joint_velocities),
-        }
+        return self._followed(
+            {
+                **loads,
+                keys.JOINTS: np.array(state.joints),
+                keys.TQUAT: pose.tquat,
+                keys.XYZRPY: pose.xyzrpy,
+                keys.JOINT_VELOCITIES: np.array(state.joint_velocities),
+            }
+        )
 
     def capture_times(self) -> dict[str, float]:
         """Return when the joints were measured."""
         return {keys.JOINTS: self._freshness.time}
 
+    def device_times(self) -> dict[str, float]:
+        """Return the same on the arm's own clock."""
+        return {keys.JOINTS: self._freshness.device_time}
+
 
 class EffectorPort(Port):
-    """A gripper or a hand; how a slow one is called and how old it may be is written once, for both."""
+    """Any gripper or hand behind the device interface."""
 
     def __init__(
         self,
         device: Gripper | Hand,
-        key: str,
-        count: int,
-        send: Callable[[NDArray[np.float32], float], None],
         *,
         valid_for: float = math.inf,
         stale_after: float = math.inf,
@@ -263,19 +294,17 @@ class EffectorPort(Port):
 
         Args:
             device: The device.
-            key: Key of its actions and observations.
-            count: How many numbers it takes and gives.
-            send: Sends it as many, for some seconds.
             valid_for: How long a command is valid without another; then the device holds [s].
             stale_after: Age of what it measures from which it is in its fault state [s].
             slow_after: A device that takes longer than this to read is commanded and read on a thread [s].
         """
         self.device = self._device = device
+        key, count = (keys.GRIPPER, 1) if isinstance(device, Gripper) else (keys.HAND, device.joint_count)
+        self._key = key
         self.timed = (key,)
         self.action_spaces = {key: keys.normalised_space(count)}
         self.observation_spaces = {key: keys.normalised_space(count)}
-        self._key = key
-        self._calls = DeviceCalls(device, device.state, send, valid_for=valid_for, slow_after=slow_after)
+        self._calls = DeviceCalls(device, device.state, self._send, valid_for=valid_for, slow_after=slow_after)
         self._freshness = Freshness(device, stale_after)
 
     def command(self, action: Arrays) -> None:
@@ -287,11 +316,15 @@ class EffectorPort(Port):
         state = self._calls.read()
         self._freshness.judge(state)
         measured = [state.opening] if isinstance(state, GripperState) else state.joints
-        return {self._key: np.clip(np.array(measured, np.float32), 0.0, 1.0)}
+        return self._followed({self._key: np.clip(np.array(measured, np.float32), 0.0, 1.0)})
 
     def capture_times(self) -> dict[str, float]:
         """Return when it was measured."""
         return {self._key: self._freshness.time}
+
+    def device_times(self) -> dict[str, float]:
+        """Return the same on the device's own clock."""
+        return {self._key: self._freshness.device_time}
 
     def open(self) -> None:
         """Connect the device; it does not move."""
@@ -311,26 +344,8 @@ class EffectorPort(Port):
         """Let go of the device; closing twice is harmless."""
         self._calls.close()
 
-
-class GripperPort(EffectorPort):
-    """Any gripper behind the device interface."""
-
-    def __init__(self, gripper: Gripper, **times: float) -> None:
-        """Use a gripper; `times` are those of `EffectorPort` [s]."""
-
-        def send(opening: NDArray[np.float32], valid_for: float) -> None:
-            gripper.command_opening(float(opening[0]), valid_for=valid_for)
-
-        super().__init__(gripper, keys.GRIPPER, 1, send, **times)
-
-
-class HandPort(EffectorPort):
-    """Any hand behind the device interface."""
-
-    def __init__(self, hand: Hand, **times: float) -> None:
-        """Use a hand; `times` are those of `EffectorPort` [s]."""
-
-        def send(joints: NDArray[np.float32], valid_for: float) -> None:
-            hand.command_joints(joints.astype(np.float64), valid_for)
-
-        super().__init__(hand, keys.HAND, hand.joint_count, send, **times)
+    def _send(self, target: NDArray[np.float32], valid_for: float) -> None:
+        if isinstance(self._device, Gripper):
+            self._device.command_opening(float(target[0]), valid_for=valid_for)
+        else:
+            self._device.command_joints(target.astype(np.float64), valid_for)

@@ -15,8 +15,7 @@ from rcs.envs.ports.port import Port
 from rcs.envs.spaces import Observation
 from rcs.envs.variation.randomiser import Randomiser
 from rcs.sim.camera import Quality, SimCameras
-from rcs.sim.camera_feed import CameraFeed, DelayedFrames, RenderThread
-from rcs.sim.frame_clock import FrameClock, FrameRate
+from rcs.sim.camera_feed import CameraFeed, DelayedFrames, FrameClock, RenderThread
 from rcs.sim.pixels import PixelFeed, Pixels
 from rcs.sim.scene import CameraPlacement
 from rcs.sim.tactile import SimTactile
@@ -75,23 +74,21 @@ def _is_late(randomiser: Randomiser | None) -> bool:
 class SimCameraPort(_FramesPort):
     """All cameras of a scene, drawn together, each at its own frame rate."""
 
-    def __init__(
-        self, cameras: SimCameras, clock: FrameClock | None = None, randomiser: Randomiser | None = None
-    ) -> None:
+    def __init__(self, cameras: SimCameras, clock: FrameClock, randomiser: Randomiser | None = None) -> None:
         """Use the cameras of a world.
 
         Args:
             cameras: The cameras.
-            clock: Knows when each has a new frame; None for the highest rates that they offer for this size.
+            clock: Knows when each has a new frame.
             randomiser: Has the latency of frames, if that varies.
         """
-        if clock is None:
-            rates = {one.name: FrameRate.of(one.camera, cameras.sizes[one.name]) for one in cameras.placements}
-            clock = FrameClock(cameras.world, rates)
         self.cameras = cameras
         is_threaded = cameras.world.stepping == "realtime" and not cameras.world.leading
         feed = RenderThread(cameras, clock) if is_threaded else CameraFeed(cameras, clock)
-        frames = {name: spaces.Dict(_frame(cameras, *size)) for name, size in cameras.sizes.items()}
+        entries = [keys.RGB, keys.INTRINSICS, keys.DISTORTION, keys.EXTRINSICS]
+        entries += [keys.SEGMENTATION, keys.GEOMS] if cameras.has_segmentation else []
+        entries += [keys.DEPTH] if cameras.has_depth else []
+        frames = {name: keys.frame_space(entries, size) for name, size in cameras.sizes.items()}
         super().__init__(feed, frames, clock, cameras.world, randomiser)
 
     @property
@@ -103,19 +100,6 @@ class SimCameraPort(_FramesPort):
         }
         labels = {"labels": self.cameras.labels.to_json()} if self.cameras.has_segmentation else {}
         return {"cameras": cameras, **labels}
-
-
-def _frame(cameras: SimCameras, width: int, height: int) -> dict[str, spaces.Space[object]]:
-    """Return the spaces of a frame of a size [px]."""
-    frame: dict[str, spaces.Space[object]] = {keys.RGB: keys.rgb_space(width, height)}
-    frame[keys.INTRINSICS] = keys.intrinsics_space()
-    frame[keys.DISTORTION] = keys.distortion_space()
-    frame[keys.EXTRINSICS] = keys.extrinsics_space()
-    if cameras.has_segmentation:
-        frame[keys.SEGMENTATION] = frame[keys.GEOMS] = keys.labels_space(width, height)
-    if cameras.has_depth:
-        frame[keys.DEPTH] = keys.depth_space(width, height)
-    return frame
 
 
 class PixelPort(_FramesPort):
@@ -150,7 +134,7 @@ class PixelPort(_FramesPort):
             pixels = replace(pixels, valid_steps=None)  # frames on their way are kept
         self.feed = PixelFeed(world, cameras, clock, pixels, size=size, quality=quality)
         """Draws the stacks."""
-        frame = spaces.Dict({keys.PIXELS: keys.pixels_space(pixels.channels, *size)})
+        frame = keys.frame_space([keys.PIXELS], size, channels=pixels.channels)
         super().__init__(self.feed, dict.fromkeys(self.feed.names, frame), clock, world, randomiser)
 
 
@@ -162,7 +146,7 @@ class SimTactilePort(Port):
         self.sensors = {sensor.placement.name: sensor for sensor in sensors}
         self.timed = tuple(f"{keys.FRAMES}/{name}" for name in self.sensors)
         self._times: dict[str, float] = {}
-        frames = {name: spaces.Dict({keys.RGB: keys.rgb_space(*one.gel.size)}) for name, one in self.sensors.items()}
+        frames = {name: keys.frame_space([keys.RGB], one.gel.size) for name, one in self.sensors.items()}
         self.observation_spaces = {keys.FRAMES: spaces.Dict(dict(frames))}
 
     def observe(self) -> Observation:

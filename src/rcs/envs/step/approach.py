@@ -16,7 +16,6 @@ from rcs.envs.spaces import ARM_KEYS, Observation
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.stack import NAMELESS, Nested, Stack
 from rcs.errors import DeviceFault, InvalidSetup, Refused
-from rcs.planning.path import MINIMUM_JERK_PEAK, minimum_jerk
 from rcs.sim.scene import RobotPlacement
 
 SPEED = 0.05
@@ -27,6 +26,9 @@ RESTING = 2.0
 """How long an arm that its controller leads to a pose may take to stand [s]."""
 APART = 0.1
 """A joint that is farther from its target then has not arrived [rad]; servos without integrators sag by half of it."""
+
+PEAK = 15 / 8
+"""Largest speed of a motion with the least jerk over its mean speed."""
 
 MayMove = bool | Callable[[str], bool]
 """Whether a person agrees that arms move; a function puts the question that it is given, and returns the answer."""
@@ -100,9 +102,7 @@ class Approach:
         for step in range(1, steps + settling + 1):
             targets: Nested = {name: dict(own) for name, own in stay.items()}
             for way in ways:
-                targets[way.chain][keys.JOINTS] = way.start + minimum_jerk(step / max(steps, 1)) * (
-                    way.goal - way.start
-                )
+                targets[way.chain][keys.JOINTS] = way.start + _least_jerk(step / max(steps, 1)) * (way.goal - way.start)
                 if step > steps:
                     targets[way.chain].update(way.effector)
             stack.lead(stack.admit(targets))
@@ -169,7 +169,7 @@ class Approach:
     def _duration(self, ways: Sequence[_Way]) -> float:
         """Return how long the longest way takes [s]; all robots arrive together."""
         longest = max(float((np.abs(way.goal - way.start) / way.speed).max()) for way in ways)
-        return MINIMUM_JERK_PEAK * longest / self.speed
+        return PEAK * longest / self.speed
 
     def _question(self, ways: Sequence[_Way]) -> str:
         parts: list[str] = []
@@ -202,3 +202,12 @@ def _stay(stack: Stack) -> Nested:
         boxes = stack.chains[name].executed_spaces
         stay[name] = {key: np.clip(value, boxes[key].low, boxes[key].high) for key, value in own.items()}
     return stay
+
+
+def _least_jerk(fraction: float) -> float:
+    """Return the share of a way after a fraction of its time, with the least jerk, as human arms move.
+
+    Flash and Hogan, "The coordination of arm movements", 1985.
+    """
+    x = min(fraction, 1.0)
+    return x * x * x * (10.0 + x * (6.0 * x - 15.0))

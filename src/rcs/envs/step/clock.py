@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,19 @@ STEP_LIMIT = 10.0
 
 ROUNDING = 1e-9
 """Shortest time to wait [s]."""
+
+
+class Outcome(NamedTuple):
+    """What a simulator of another project says of a step."""
+
+    reward: float
+    """Reward."""
+    terminated: bool
+    """Whether the episode ends because the task is done."""
+    truncated: bool
+    """Whether it ends for another reason."""
+    info: dict[str, Any]
+    """Info for agents and people."""
 
 
 class Clock:
@@ -76,6 +90,10 @@ class Clock:
         """Returns the monotonic time of the host [s]."""
         self._sleep = sleep or time.sleep
         self._next = self.now()
+
+    def outcome(self) -> Outcome | None:
+        """Return what comes of the last step, where this clock lets another project's simulator make it; None here."""
+        return None
 
     def advance(self, copies: Copies = None, repeat: Callable[[], None] | None = None) -> None:
         """Let one control step pass, of some copies or of all.

@@ -121,20 +121,6 @@ class Engine:
         self._must_rebase = False
         approach(self.stack, self._clock, lambda: self._must_rebase)
 
-    def restart(self, copies: NDArray[np.int32]) -> Observation:
-        """Start the next episode of some copies right after their last step."""
-        try:
-            self._begin(copies)
-            observation = self.observe_start(copies)
-            if self.simulation is not None:
-                self.simulation.judge_start(copies)
-                info = {**self.simulation.describe(), "time": self._judge.time()}
-                self.observers.on_reset(observation, info, self._seeds_of(copies))
-        except BaseException as err:
-            self._break_off(err)
-            raise
-        return observation
-
     def _require_no_fault(self) -> None:
         if faults := self.stack.faults():
             raise DeviceFault(f"Devices are in their fault state: {_listed(faults)}. Clear it with env.recover().")
@@ -201,9 +187,7 @@ class Engine:
         observers = self.observers
         try:
             observers.after_hold = self._must_rebase
-            if self._must_rebase:
-                self._must_rebase = False  # before, for another thread may set it meanwhile
-                self.stack.rebase()
+            self.rebase_if_held()
             mapped = self.stack.map(action)
             self._is_commanded = True
             try:
@@ -276,7 +260,7 @@ class Engine:
     def rebase_if_held(self) -> None:
         """Do now what the next step would do first."""
         if self._must_rebase:
-            self._must_rebase = False
+            self._must_rebase = False  # before, for another thread may set it meanwhile
             self.stack.rebase()
 
     def counters(self) -> dict[str, Any]:

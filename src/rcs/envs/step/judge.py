@@ -120,6 +120,9 @@ class Judge:
             rewards = self._simulation.rewards
             reward = rewards.pay(judgement, terminated=terminated, failed=lost, diverged=diverged, starting=starting)
             self._simulation.require_reward(reward, judgement)
+        elif (outcome := self._clock.outcome()) is not None:
+            reward, terminated, truncated, info = outcome
+            terminated, truncated = np.bool_(terminated), np.bool_(truncated)
         if self._max_episode_steps is not None:
             is_last = (self.steps >= self._max_episode_steps) & ~terminated
             truncated = truncated | (is_last if starting is None else is_last & ~starting)
@@ -139,11 +142,11 @@ class Judge:
         return Step(observation=observation, reward=reward, terminated=terminated, truncated=truncated, info=info)
 
     def timing(self) -> dict[str, Any]:
-        """Return how late a step in real time ended, how old its measurements are [s], and the clamps so far."""
+        """Return how late a step in real time ended, ages of measurements [s], and clamps and reconnections so far."""
         now = self._clock.now()
         ages = {name: now - captured for name, captured in self._stack.capture_times().items()}
-        clamped = self._stack.clamped()
-        return {"late": self._clock.late, "ages": ages, **({"clamped": clamped} if clamped else {})}
+        counts = {"clamped": self._stack.clamped(), "reconnections": self._stack.reconnections()}
+        return {"late": self._clock.late, "ages": ages, **{name: count for name, count in counts.items() if count}}
 
     def time(self) -> Any:
         """Return the time of the present observation [s]: that of the simulation, or the host's monotonic clock."""

@@ -103,6 +103,7 @@ class Observers:
             command_time=None if step is None else self.command_time,
             after_hold=step is not None and self.after_hold,
             capture_times=row(self._stack.capture_times(), copy) if self._is_batch else self._stack.capture_times(),
+            device_times={} if self._is_batch else self._stack.device_times(),
             sim_state=None if simulation is None else simulation.world.core.get_state(copy),
             objects=row(objects, copy) if self._is_batch else objects,
             notes=self._notes,

@@ -17,7 +17,7 @@ from rcs.envs.task import Judgement, Task
 from rcs.envs.variation.clutter import Clutter, ObjectCircles
 from rcs.envs.variation.randomiser import Randomiser
 from rcs.errors import InvalidSetup
-from rcs.sim.frame_clock import FrameClock
+from rcs.sim.camera_feed import FrameClock
 from rcs.sim.loads import CollisionGuard
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import Copies, World
@@ -52,7 +52,7 @@ class Simulation:
         """
         self.world = world
         self.randomisers = [] if randomiser is None else [randomiser]
-        """The randomisers of the world, in their order."""
+        """The randomisers of the world, in their order; more are added before the first episode."""
         self.frame_clock = frame_clock
         """The cameras' clock; None without cameras."""
         self.robots = robots
@@ -72,10 +72,6 @@ class Simulation:
             one.settle()
         world.core.keep_initial_state()
         world.refresh()
-
-    def add_randomiser(self, randomiser: Randomiser) -> None:
-        """Add a randomiser after the present one; it must be made for this world before the first episode."""
-        self.randomisers.append(randomiser)
 
     def begin(self, random: EpisodeRandom, copies: Copies = None) -> None:
         """Start episodes: all robots at or near home, objects placed by the task, all else randomised.

@@ -84,6 +84,12 @@ class Stack:
         return [prefix + key for prefix, port in self._ports for key in port.timed]
 
     @property
+    def device_timed(self) -> list[str]:
+        """Keys of `device_times`."""
+        timed = [(prefix, port) for prefix, port in self._ports if type(port).device_times is not Port.device_times]
+        return [prefix + key for prefix, port in timed for key in port.timed]
+
+    @property
     def executed(self) -> dict[str, Any]:
         """The last targets that the ports were sent, in the form of an action."""
         return self._squeeze(self._executed)
@@ -258,6 +264,14 @@ class Stack:
     def capture_times(self) -> dict[str, float]:
         """Return when each sensor was last read [s, monotonic clock], by its key such as `frames/wrist`."""
         return {prefix + key: when for prefix, port in self._ports for key, when in port.capture_times().items()}
+
+    def device_times(self) -> dict[str, float]:
+        """Return the same on the devices' own clocks [s], by key; NaN for devices without one."""
+        return {prefix + key: when for prefix, port in self._ports for key, when in port.device_times().items()}
+
+    def reconnections(self) -> dict[str, int]:
+        """Return how often devices were connected again since `open`, by key, where they were."""
+        return {prefix + key: n for prefix, port in self._ports for key, n in port.reconnections().items()}
 
     def clamped(self) -> dict[str, Mapping[str, int]]:
         """Return how many commands since `open` streamed arms carried out only in part, by arm and by quantity."""

@@ -12,11 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
-from rcs.envs.variation.fields import add_fields
-from rcs.envs.variation.looks import add_cameras, add_lights, add_surfaces
-from rcs.envs.variation.objects import add_friction, add_objects
-from rcs.envs.variation.robots import add_drives, add_latency, add_table
-from rcs.envs.variation.start import VariedStart
+from rcs.envs.variation.robots import VariedStart, add_drives, add_latency, add_table
+from rcs.envs.variation.scene import add_cameras, add_friction, add_lights, add_objects, add_surfaces
+from rcs.sim.model_fields import FieldRange, bounds_of, find_rows
 from rcs.sim.model_rows import ModelRows, ObjectParts, owners
 from rcs.sim.randomisation import Randomisation
 from rcs.sim.robot import SimRobot
@@ -26,6 +24,11 @@ from rcs.sim.world import Copies, World
 Values = NDArray[np.float64]
 Write = Callable[[dict[str, Values], Copies], None]
 """Writes the draws, by field, for some copies; None for all."""
+
+UNIT_LENGTH = ("quat", "_axis", "_dir")
+"""Ends of the names of fields whose rows have a length of one."""
+WITHOUT_CONSTANTS = ("geom", "light", "mat", "pair")
+"""Kinds of elements from which MuJoCo derives no constants."""
 
 
 class Randomiser:
@@ -81,7 +84,8 @@ class Randomiser:
         add_table(self)
         self._latency = add_latency(self, robots)
         self.enable("frame_latency", [camera.name for camera in cameras])
-        add_fields(self)
+        for wanted in ranges.fields:
+            _add_field(self, wanted)
 
     def enable(
         self,
@@ -193,3 +197,43 @@ class Randomiser:
         """Fill the history of some copies with their present controls, after writing them."""
         if self._latency is not None:
             self._latency.settle(copies)
+
+
+def _add_field(vary: Randomiser, wanted: FieldRange) -> None:
+    """Vary a field of the model by its name in MuJoCo."""
+    model = vary.world.model
+    found, names = find_rows(model, wanted)
+    # What is written before in an episode is the base of this range.
+    is_base = np.isin(found, list(vary.written.get(wanted.field, ())))
+    rows = vary.rows(wanted.field, found)
+    nominal = rows.nominal.reshape(len(found), -1)
+    columns = np.arange(nominal.shape[1]) if wanted.axes is None else np.array(wanted.axes)
+    owners = ["all"] if wanted.per == "all" else names
+    each = (len(columns),) if wanted.per == "value" and rows.nominal.ndim > 1 else ()
+    shape = (len(owners), *each)
+    if not vary.enable(wanted.key, owners, each=each, bounds=(np.full(shape, wanted.low), np.full(shape, wanted.high))):
+        return
+    vary.changes_constants |= wanted.kind not in WITHOUT_CONSTANTS
+    bounds = [vary.rows(name, found) for name in ("geom_rbound", "geom_aabb") if wanted.field == "geom_size"]
+
+    def write(drawn: dict[str, Values], copies: Copies) -> None:
+        draws = drawn[wanted.key] if each else drawn[wanted.key][..., None]
+        values = np.array(rows.read(copies), np.float64).reshape(*draws.shape[:-2], *nominal.shape)
+        values[..., ~is_base, :] = nominal[~is_base]
+        chosen = values[..., columns]
+        if wanted.operation == "scale":
+            chosen *= draws
+        elif wanted.operation == "add":
+            chosen += draws
+        else:
+            chosen[...] = draws
+        values[..., columns] = chosen
+        if wanted.field.endswith(UNIT_LENGTH):
+            values /= np.sqrt((values * values).sum(axis=-1, keepdims=True))
+        elif wanted.field.endswith("rgba"):
+            np.clip(values, 0.0, 1.0, out=values)
+        rows.write(values.reshape(*draws.shape[:-2], *rows.nominal.shape), copies)
+        for own, bound in zip(bounds, bounds_of(model.geom_type[found], values) if bounds else (), strict=True):
+            own.write(bound, copies)
+
+    vary.write_with(write)

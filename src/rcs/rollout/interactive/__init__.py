@@ -1,1 +1,1 @@
-"""Interactive simulation in a window or browser."""
+"""Interactive simulation in the browser."""

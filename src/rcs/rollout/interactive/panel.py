@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from rcs.rollout.interactive.guide import Guide
+from rcs.agents import Event
+from rcs.agents.guide import Guide
 from rcs.rollout.interactive.session import Session
 from rcs.sim.browser_scene import BrowserScene
 from rcs.spatial import wxyz_to_xyzw, xyzw_to_wxyz
+from rcs.teleop import Keyboard
 
 if TYPE_CHECKING:
     import viser
@@ -25,8 +28,22 @@ TEXT_PERIOD = 0.2
 GIZMO_SHARE = 0.2
 """Size of a target to drag in proportion to the reach of its arm."""
 
-Submit = Callable[[Callable[[], None]], None]
-"""Lets the thread of the session handle a request."""
+SHOWN = 8
+"""Takes in the list."""
+
+KEYS: Mapping[Event, tuple[str, Literal["T", "Y", "N", "X"]]] = {
+    "start": ("Start", "T"), "success": ("Success", "Y"), "failure": ("Failure", "N"), "discard": ("Discard", "X"),
+}  # fmt: skip
+"""Buttons of takes, and keys that do the same."""
+
+NOBODY = "no robot"
+"""Choice of keys that lead nothing."""
+
+KEYS_TOLD = "w s, a d, r f move; o u, i k, j l turn; space: gripper; - =: slower, faster"
+"""Keys that lead."""
+
+Submit = Callable[[Callable[[], None], int | None], None]
+"""Lets the thread of the session handle a request of a page that leads; None for one of any page."""
 
 
 class Panel:
@@ -38,6 +55,7 @@ class Panel:
         session: Session,
         scene: BrowserScene,
         submit: Submit,
+        keys: Keyboard,
     ) -> None:
         """Put the controls on the page.
 
@@ -46,16 +64,22 @@ class Panel:
             session: The session to control.
             scene: Its scene on the same pages.
             submit: Lets the thread of the session handle a request.
+            keys: The keys of the page that leads.
         """
-        self._server, self._session, self._scene, self._submit = server, session, scene, submit
-        self._message = ""
+        self._server, self._session, self._scene, self._submit, self._keys = server, session, scene, submit, keys
+        self._message, self._robot = "", NOBODY
+        self._acts: Any = None
         self._next_text = self._next_frame = 0.0
         self._pictures: dict[str, tuple[Any, Any]] = {}
         setup = session.setup
         server.gui.set_panel_label(f"{setup.task} on {setup.robot_label}")
         self._status = server.gui.add_markdown("")
         self._add_episode()
+        self._takes: Any = None
+        if session.can_record:
+            self._add_takes()
         self._robots = [RobotControls(server, session, guide, submit) for guide in session.guides.values()]
+        self._add_keys()
         self._add_cameras()
         self._add_view()
         self.show()
@@ -64,6 +88,14 @@ class Panel:
         """Show a message on all pages until the next reset."""
         self._message = message
         self._next_text = 0.0
+
+    def refuse(self, message: str) -> None:
+        """Show why a page may not do what it asks for, and put back what it has changed."""
+        self.show_message(message)
+        self._seed.value = self._session.seed
+        self._show_who_acts()
+        for robot in self._robots:
+            robot.snap()
 
     def show(self) -> None:
         """Show what has changed, no faster than people see."""
@@ -85,9 +117,15 @@ class Panel:
         reach = ", ".join(name for name, guide in session.guides.items() if guide.is_out_of_reach)
         lines = [f"**{session.env.instruction}**" if session.env.instruction else ""]
         lines.append(
-            f"**{session.verdict}** · seed {session.seed} · {session.world.time:.1f} s · step {session.steps}  \n"
+            f"**{session.verdict}** · seed {session.seed} · {session.time:.1f} s · step {session.steps}  \n"
             f"reward {session.reward:.3f} · sum {session.total:.2f}"
         )
+        if session.env.is_real:
+            lines.append(f"loop: {session.statistics}")
+        if session.operator is not None:
+            states = ", ".join(session.operator.states.values())
+            told = f"{states}, {session.operator.problem}" if session.operator.problem else states
+            lines.append(f"keys ({self._keys.speed:.2f} m/s): {told}  \n{KEYS_TOLD}")
         if words:
             lines.append(f"> {words}")
         elif reach and session.agent is None:
@@ -98,22 +136,63 @@ class Panel:
         if text != self._status.content:
             self._status.content = text
         self._recover.visible = bool(session.problem)
+        self._show_who_acts()
+        if self._takes is not None and self._takes.content != (told := self._told_of_takes()):
+            self._takes.content = told
+
+    def _show_who_acts(self) -> None:
+        by_keys = self._session.operator is not None
+        _put(self._led, self._robot if by_keys else NOBODY)
+        if self._acts is not None:
+            _put(self._acts, self._session.agent is not None and not by_keys)
+
+    def _told_of_takes(self) -> str:
+        """Return the takes, the newest first."""
+        takes = self._session.takes
+        if takes is None:
+            return "No take yet."
+        now = [] if takes.now is None else [f"**{takes.now}: recording**"]
+        return "  \n".join([*now, *(str(take) for take in takes.ended[: -SHOWN - 1 : -1])])
 
     # --- Made once ----------------------------------------------------------------------------------------------------
 
     def _add_episode(self) -> None:
         gui, session = self._server.gui, self._session
         with gui.add_folder("Episode"):
-            times = {"Play": self._play, "Pause": self._pause, "Step": self._step}
+            times = {"Play": lambda: self._play(True), "Pause": lambda: self._play(False), "Step": self._step}
             _buttons(gui, "Time", self._submit, times, hint="A step is one control period; it pauses.")
-            self._recover = _button(gui, "Recover", self._submit, self._go_on, hint="Clear faults and go on")
+            self._recover = _button(
+                gui, "Recover", self._submit, lambda: self._begin(session.recover), hint="Clear faults and go on"
+            )
             self._recover.visible = False
             self._seed = gui.add_number("Seed", session.seed, min=0, step=1, hint="Of the next reset")
-            starts = {"Reset": self._reset, "Next seed": self._next}
+            starts = {
+                "Reset": lambda: self._begin(lambda: session.reset(int(self._seed.value))),
+                "Next seed": lambda: self._begin(session.reset),
+            }
             _buttons(gui, "Begin", self._submit, starts, hint="An episode depends on its seed alone.")
             if session.has_agent:
-                agent = gui.add_checkbox("Agent acts", initial_value=session.agent is not None, hint="In a new episode")
-                _on_value(agent, self._submit, self._let_agent)
+                self._acts = gui.add_checkbox("Agent acts", initial_value=False, hint="In a new episode")
+                _on_value(self._acts, self._submit, lambda acts: self._begin(lambda: session.let_agent(acts)))
+
+    def _add_takes(self) -> None:
+        gui = self._server.gui
+        with gui.add_folder("Takes"):
+            does = {label: partial(self._obey, event) for event, (label, _) in KEYS.items()}
+            keys = ", ".join(f"{key} {label.lower()}" for label, key in KEYS.values())
+            _buttons(gui, "Take", self._submit, does, hint=f"Start also ends a take, as the task judges. Keys: {keys}.")
+            self._takes = gui.add_markdown("")
+        for event, (label, key) in KEYS.items():
+            command = gui.add_command(f"{label} take", hotkey=key)
+
+            @command.on_trigger
+            async def _(trigger: Any, event: Event = event) -> None:
+                self._submit(partial(self._obey, event), trigger.client_id)
+
+    def _add_keys(self) -> None:
+        names = tuple(self._session.guides)
+        self._led = self._server.gui.add_dropdown("Keys lead", (NOBODY, *names), initial_value=NOBODY, hint=KEYS_TOLD)
+        _on_value(self._led, self._submit, self._lead_by_keys)
 
     def _add_cameras(self) -> None:
         frames = self._session.frames
@@ -128,41 +207,40 @@ class Panel:
         with gui.add_folder("View", expand_by_default=False):
             targets = gui.add_checkbox("Targets to drag", initial_value=True)
             contacts = gui.add_checkbox("Contact forces", initial_value=False, hint="1 cm per newton")
-        _on_value(targets, self._submit, self._show_targets)
-        _on_value(contacts, self._submit, lambda is_on: setattr(self._scene, "has_contacts", is_on))
+        _on_value(targets, self._of_any, self._show_targets)
+        _on_value(contacts, self._of_any, lambda is_on: setattr(self._scene, "has_contacts", is_on))
 
     # --- Requests of pages, handled by the thread of the session ------------------------------------------------------
 
-    def _play(self) -> None:
-        self._session.is_playing = True
+    def _of_any(self, request: Callable[[], None], page: int | None) -> None:
+        """Submit a request that any page may make."""
+        self._submit(request, None)
 
-    def _pause(self) -> None:
-        self._session.is_playing = False
+    def _play(self, is_playing: bool) -> None:
+        self._session.is_playing = is_playing
 
     def _step(self) -> None:
         self._session.is_playing = False
         self._session.step()
 
-    def _reset(self) -> None:
-        self._begin(lambda: self._session.reset(int(self._seed.value)))
-
-    def _next(self) -> None:
-        self._begin(self._session.reset)
-
-    def _go_on(self) -> None:
-        self._begin(self._session.recover)
-
-    def _let_agent(self, is_acting: bool) -> None:
-        self._begin(lambda: self._session.let_agent(is_acting))
-
     def _begin(self, start: Callable[[], None]) -> None:
         self._message = ""
         start()
+
+    def _lead_by_keys(self, robot: str) -> None:
+        self._message, self._robot = "", robot
+        self._session.let_keys(None if robot == NOBODY else self._keys, robot)
+
+    def begin(self) -> None:
+        """Show the beginning of an episode."""
         self._seed.value = self._session.seed
-        self._scene.rebuild()
         self._next_text = 0.0
         for robot in self._robots:
             robot.snap()
+
+    def _obey(self, event: Event) -> None:
+        self._message = ""
+        self._session.obey(event)
 
     def _show_targets(self, is_on: bool) -> None:
         for robot in self._robots:
@@ -193,7 +271,7 @@ class RobotControls:
         @self._gizmo.on_update
         async def _(event: Any) -> None:
             pose = np.concatenate([event.target.position, wxyz_to_xyzw(event.target.wxyz)])
-            submit(lambda: guide.lead_to(pose))
+            submit(lambda: guide.lead_to(pose), event.client_id)
 
         gui = server.gui
         self._opening: Any = None
@@ -216,7 +294,7 @@ class RobotControls:
         guide = self._guide
         is_led = self._session.agent is None
         self._gizmo.visible = self.is_shown and is_led
-        if not is_led:
+        if not is_led or guide.is_braking:
             self.snap()
         elif not guide.is_by_joints:  # otherwise a person holds a slider
             self._follow_joints()
@@ -251,6 +329,12 @@ class RobotControls:
             setattr(self._gizmo, key, part)
 
 
+def _put(control: Any, value: Any) -> None:
+    """Have a control show a value, if it shows another one."""
+    if control.value != value:
+        control.value = value
+
+
 def _place(pose: Any) -> dict[str, Any]:
     return {"position": np.array(pose[:3]), "wxyz": xyzw_to_wxyz(pose[3:])}
 
@@ -261,7 +345,7 @@ def _button(gui: viser.GuiApi, label: str, submit: Submit, do: Callable[[], None
     # Asynchronous, for these are called in the order of the clicks.
     @button.on_click
     async def _(event: Any) -> None:
-        submit(do)
+        submit(do, event.client_id)
 
     return button
 
@@ -271,7 +355,7 @@ def _buttons(gui: viser.GuiApi, label: str, submit: Submit, choices: dict[str, C
 
     @group.on_click
     async def _(event: Any) -> None:
-        submit(choices[event.target.value])
+        submit(choices[event.target.value], event.client_id)
 
 
 def _on_value(handle: Any, submit: Submit, do: Callable[[Any], None]) -> None:
@@ -281,4 +365,4 @@ def _on_value(handle: Any, submit: Submit, do: Callable[[Any], None]) -> None:
     async def _(event: Any) -> None:
         if event.client_id is not None:  # otherwise the value is our own
             value = event.target.value
-            submit(lambda: do(value))
+            submit(lambda: do(value), event.client_id)

@@ -1,24 +1,37 @@
-"""A simulated environment that goes on step by step while a person leads its robots."""
+"""An environment, simulated or real, that goes on step by step while a person leads its robots."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rcs_data.closing import Closing
+from rcs_data.files.closing import Closing
 
-from rcs.agents import Agent, agent_for
+from rcs.agents import Agent, Event, Pace, agent_for
+from rcs.agents.guide import Guide
 from rcs.devices import lookup
 from rcs.envs.env import Env
+from rcs.envs.observer import Note
+from rcs.envs.observers.record import record
 from rcs.envs.setup import Setup
-from rcs.envs.spaces import FRAMES, RGB, Action, Observation
+from rcs.envs.spaces import FRAMES, JOINTS, RGB, Action, Observation
 from rcs.envs.step.judge import DIVERGED, FAULT
-from rcs.errors import DeviceFault, RcsError
-from rcs.rollout.interactive.guide import Guide
+from rcs.envs.step.stack import for_all
+from rcs.errors import DeviceFault, RcsError, WrongOrder
+from rcs.rollout.takes import LoopStatistics, Takes
+from rcs.rollout.teleoperate import VERDICTS
 from rcs.setups.make import make, resolve
+from rcs.sim.timed_world import TimedWorld
 from rcs.sim.world import World
+from rcs.teleop import InputDevice, Operator, Takeover
+
+ACTOR = Note("actor", words=("page", "agent", "policy", "person"))
+"""Who acted in a row: the person at the page, or an agent; of a takeover, its policy or its person."""
 
 
 def playable(setup: Setup, *, keep_gripper: bool = False) -> Setup:
@@ -42,16 +55,29 @@ def playable(setup: Setup, *, keep_gripper: bool = False) -> Setup:
 class Session(Closing):
     """Episodes of an environment, one after the other, used by one thread. A context manager.
 
-    Errors of a step do not end it: `problem` has the message, and `recover` goes on.
+    Errors of a step do not end it: `problem` has the message, and `recover` goes on. An agent, or the person behind it,
+    acts at its own rate, and what it asks for is done (`obey`).
     """
 
-    def __init__(self, setup: Setup, *, seed: int = 0, agent: Any = None) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        *,
+        seed: int = 0,
+        agent: Any = None,
+        hardware: Any = None,
+        out: Path | None = None,
+        instructions: Sequence[str] = (),
+    ) -> None:
         """Make the environment and begin its first episode.
 
         Args:
             setup: The setup, as `playable` returns it, or with other timing in tests.
             seed: Seed of the first episode.
             agent: Agent that may act in place of the person, as `agent_for` takes it; None for the task's expert.
+            hardware: Real devices, as in `rcs.make`; None for simulation alone.
+            out: Folder of the dataset of takes; None for no recording.
+            instructions: Instructions of the takes, in turn; none for that of the environment.
 
         Raises:
             UnknownName: The setup names something that is not there.
@@ -61,8 +87,21 @@ class Session(Closing):
         """The present observation."""
         self.info: Mapping[str, Any] = {}
         """Info of the last step, or of the reset."""
-        self._actor = agent
-        self.env: Env = make(setup)
+        self.takes: Takes | None = None
+        """The takes, from the first one on; None before it, and without a folder."""
+        self.statistics = LoopStatistics(setup.frequency)
+        """How well the loop has kept its rate in this episode."""
+        self._actor, self._out, self._instructions = agent, out, instructions
+        self._recording = ExitStack()
+        self._pace: Pace | None = None
+        self.operator: Operator | None = None
+        """The person at the keys of the page, while those lead."""
+        self._ended: float | None = None
+        self._began = 0.0
+        self.episodes = 0
+        """Episodes that have begun."""
+        self.env: Env = make(setup, hardware=hardware)
+        self._mirror = None if self.env.is_simulated else TimedWorld(list(self.env.robots.values()))
         try:
             self.guides: dict[str, Guide] = {name: Guide(self.env, robot) for name, robot in self.env.robots.items()}
             """The guide of each robot, by its name."""
@@ -70,24 +109,37 @@ class Session(Closing):
             """Whether `advance` makes steps."""
             self.seed = seed
             """Seed of the present episode."""
-            self.agent: Agent | None = None
-            """The agent that acts in place of the person; None if the person does."""
             self._begin(seed, None)
         except BaseException:
-            self.env.close()
+            self.close()
             raise
 
     # --- State --------------------------------------------------------------------------------------------------------
 
     @property
     def setup(self) -> Setup:
-        """The simulated setup."""
+        """The setup."""
         return self.env.setup
 
     @property
     def world(self) -> World:
-        """The simulated world."""
-        return self.env.simulation.world
+        """The simulated world; where all is real, a picture of the robots as they are measured."""
+        return self.env.simulation.world if self._mirror is None else self._mirror.world
+
+    @property
+    def time(self) -> float:
+        """Time of the present episode [s], by the clock of the environment."""
+        return float(self.info.get("time", 0.0)) - self._began
+
+    @property
+    def can_record(self) -> bool:
+        """Whether there is a folder for takes."""
+        return self._out is not None
+
+    @property
+    def agent(self) -> Agent | None:
+        """The agent that acts in place of the person; None if the person does."""
+        return None if self._pace is None else self._pace.agent
 
     @property
     def has_agent(self) -> bool:
@@ -128,7 +180,7 @@ class Session(Closing):
             RcsError: It cannot go on; `problem` has the message, too.
         """
         self.env.recover()
-        state = self.world.states() if self._is_fault else None
+        state = self.world.states() if self._is_fault and self._mirror is None else None
         self._begin(self.seed, state)
 
     def let_agent(self, is_acting: bool) -> None:
@@ -138,10 +190,28 @@ class Session(Closing):
             InvalidSetup: There is no agent, and the task has no expert; or it does not fit the environment.
         """
         if is_acting:
-            self.agent = agent_for(self.env, self._actor)
+            self._end_agent()
+            self._pace = Pace(self.env, agent_for(self.env, self._actor))
             self._begin(self.seed, None)
         else:
             self._end_agent()
+
+    def let_keys(self, keys: InputDevice | None, robot: str = "") -> None:
+        """Have keys of the page lead a robot from where it is, or its targets and sliders again.
+
+        Args:
+            keys: The keys; None for none.
+            robot: The robot that they lead; the others stay.
+
+        Raises:
+            InvalidSetup: A person cannot lead the robot step by step.
+        """
+        self._end_agent()
+        if keys is not None:
+            operator = Operator(self.env, keys, robots={keys.hands[0]: robot})
+            self._pace, self.operator = Pace(self.env, operator), operator
+            operator.open()
+            operator.take_over(self.observation, self.info)
 
     def step(self) -> None:
         """Make one step, of one control period, unless the episode is over."""
@@ -154,6 +224,7 @@ class Session(Closing):
             self._is_fault = isinstance(err, DeviceFault)
             return
         self.observation, reward, terminated, truncated, self.info = step
+        self._count()
         self.reward = float(reward)
         for guide in self.guides.values():
             guide.see(self.observation) if self.agent is None else guide.reset(self.observation)
@@ -165,6 +236,90 @@ class Session(Closing):
             self._is_fault = self.info["end"] == FAULT
         elif self.info["end"] == DIVERGED:
             self.problem, self._is_fault = "The simulation diverged.", False
+        elif self.is_over and self.takes is not None and self.takes.is_recording:
+            self._end_take(self.takes, self._verdict_of_task())
+        if self.agent is not None:
+            for event in self.agent.events():
+                self.obey(event)
+
+    def obey(self, event: Event) -> None:
+        """Do what a person asks for, as `Teleoperation` does; `takeover` takes the robots from an agent.
+
+        Raises:
+            WrongOrder: A take is to end, and there is none; or to begin, without a folder or after the episode's end.
+        """
+        if event == "stop" and not self.is_over:
+            self.env.hold()
+            self.is_over = True
+        elif event == "reset":
+            self.reset()
+        elif event == "takeover" and not isinstance(self.agent, Takeover):
+            self.let_agent(self.agent is None)
+        elif event in ("start", "discard", *VERDICTS):
+            self._judge(event)
+
+    def release(self) -> None:
+        """Have all robots brake and stay, because nobody leads them any more."""
+        for guide in self.guides.values():
+            guide.brake()
+        if self.operator is not None:
+            self.operator.hold("nobody leads")
+
+    def _count(self) -> None:
+        now = time.monotonic()
+        if self._ended is not None:
+            self.statistics.add(now - self._ended, self.info)
+            if self.takes is not None:
+                self.takes.add(now - self._ended, self.info)
+        self._ended = now
+        if self._mirror is not None:
+            self._show_measured(self._mirror)
+
+    def _show_measured(self, mirror: TimedWorld) -> None:
+        """Put the robots of the picture where they are measured."""
+        for name, arm in mirror.arms.items():
+            own = self.observation if len(mirror.arms) == 1 else self.observation[name]
+            arm.put(own[JOINTS])
+        mirror.world.refresh()
+
+    # --- Takes --------------------------------------------------------------------------------------------------------
+
+    def _judge(self, event: Event) -> None:
+        if self._out is None:
+            raise WrongOrder("Nothing is recorded; give a folder to record into.")
+        if self.takes is None:
+            fields = () if self.agent is None else self.agent.note_fields
+            own = [note for note in fields if note.name != ACTOR.name]
+            recorder = self._recording.enter_context(record(self.env, self._out, notes=[ACTOR, *own]))
+            self.takes = Takes(recorder, self.env.frequency, instructions=self._instructions)
+        takes = self.takes
+        if event == "start" and takes.now is None:
+            if self.is_over:
+                raise WrongOrder("The episode is over; reset before the next take.")
+            takes.start()
+        elif event == "discard":
+            takes.discard()
+            self._go_on_after_take(is_kept=False)
+        else:
+            self._end_take(takes, VERDICTS[event] if event in VERDICTS else self._verdict_of_task())
+
+    def _verdict_of_task(self) -> bool | None:
+        success = self.info.get("success")
+        return None if success is None else bool(success)
+
+    def _end_take(self, takes: Takes, success: bool | None) -> None:
+        self.env.hold()  # writing takes longer than a period
+        takes.finish(success)
+        self._go_on_after_take(is_kept=True)
+
+    def _go_on_after_take(self, *, is_kept: bool) -> None:
+        """Begin the next episode, or the same again; real robots stay where they are."""
+        if set(self.env.platform.values()) == {"simulation"}:
+            self._begin(self.seed + is_kept, None)
+        elif not self.is_over:
+            self.release()
+            if self._pace is not None:
+                self._pace.reset(self.observation, self.info)
 
     def advance(self) -> bool:
         """Make a step if the session is playing and the episode not over; return whether one was made."""
@@ -174,8 +329,11 @@ class Session(Closing):
         return True
 
     def _action(self) -> Action:
-        if self.agent is not None:
-            return self.agent.act(self.observation, self.info)
+        if self._pace is not None:
+            action = self._pace.act(self.observation, self.info)
+            self.env.note(**{"actor": "agent" if self.operator is None else "page", **self._pace.notes()})
+            return action
+        self.env.note(actor="page")
         actions = {name: guide.act(self.observation, self.info) for name, guide in self.guides.items()}
         return actions if len(actions) > 1 else next(iter(actions.values()))
 
@@ -187,25 +345,30 @@ class Session(Closing):
         """Whether the episode is over, so that only `reset` and `recover` go on."""
         self.reward, self.total, self.steps = 0.0, 0.0, 0
         self.info = {}
+        self.statistics, self._ended = LoopStatistics(self.env.frequency), None
         try:
             options = None if state is None or not np.isfinite(state).all() else {"state": state}
             self.observation, self.info = self.env.reset(seed=seed, options=options)
             self.seed = seed
-            if self.agent is not None:
-                self.agent.reset(self.observation, self.info)
+            self.episodes += 1
+            self._began = float(self.info["time"])
+            if self._pace is not None:
+                self._pace.reset(self.observation, self.info)
         except RcsError as err:
             self.problem, self._is_fault = f"{type(err).__name__}: {err}", isinstance(err, DeviceFault)
             raise
         for guide in self.guides.values():
             guide.reset(self.observation)
+        if self._mirror is not None:
+            self._show_measured(self._mirror)
         self.is_over = False
 
     def _end_agent(self) -> None:
-        if self.agent is not None:
-            self.agent.close()
-            self.agent = None
+        if self._pace is not None:
+            pace, self._pace, self.operator = self._pace, None, None
+            pace.agent.close()
 
     def close(self) -> None:
-        """Close the environment. Closing twice is harmless."""
-        self._end_agent()
-        self.env.close()
+        """Keep a take that is open, without a verdict, and close the environment. Closing twice is harmless."""
+        calls: list[Callable[[], None]] = [self._recording.close, self._end_agent, self.env.close]
+        for_all(calls if self._mirror is None else [*calls, self._mirror.close])

@@ -36,7 +36,7 @@ class TwinView(Page):
         Args:
             robots: The robots by name.
             twin: Their twin.
-            host: Address to listen at; the default is for this machine alone. There is no password.
+            host: Address to listen at; the default is for this machine alone; others need the code of `url`.
             port: Port to listen at, or the next one that is free; 0 for any.
         """
         super().__init__(host, port)

@@ -1,0 +1,82 @@
+"""Several agents in one environment, each with robots of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from rcs.agents.agent import Agent, Event
+from rcs.agents.pace import Pace
+from rcs.envs.env import Env
+from rcs.envs.observer import Note
+from rcs.envs.spaces import Action, Observation
+from rcs.envs.step.stack import for_all
+from rcs.errors import InvalidSetup
+
+
+class PerRobot(Agent):
+    """Has each robot act as its own agent says, such as a person on the left and a policy on the right.
+
+    Every agent sees all and answers for all robots, at its own rate; of its answer, only the part of its robot counts.
+    """
+
+    def __init__(self, env: Env, agents: Mapping[str, Agent]) -> None:
+        """Prepare.
+
+        Args:
+            env: The environment, of several robots.
+            agents: The agent of each robot, by its name.
+
+        Raises:
+            InvalidSetup: A robot has no agent, or there is no robot of a name; or the rate of an agent does not divide
+                that of the environment.
+        """
+        if len(env.robots) < 2 or agents.keys() != env.robots.keys():
+            raise InvalidSetup(
+                f"The agents are for {', '.join(map(repr, agents)) or 'no robot'}; valid is one for each robot of "
+                f"several, here {', '.join(map(repr, env.robots))}."
+            )
+        self._paces = {name: Pace(env, agents[name]) for name in env.robots}
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Have all agents begin an episode."""
+        for pace in self._paces.values():
+            pace.reset(observation, info)
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        """Return the next action, of all robots."""
+        actions: Action = {}
+        for name, pace in self._paces.items():
+            given = pace.act(observation, info)
+            actions[name] = given.get(name, given)
+        return actions
+
+    def close(self) -> None:
+        """Close all agents, also when one of them fails to. Closing twice is harmless."""
+        for_all([pace.agent.close for pace in self._paces.values()])
+
+    @property
+    def failure(self) -> str | None:
+        """Why the first agent that has given up has; None if none has."""
+        return next((why for pace in self._paces.values() if (why := pace.agent.failure) is not None), None)
+
+    @property
+    def failure_message(self) -> str | None:
+        """What went wrong, agent by agent; None if nothing did."""
+        told = {name: pace.agent.failure_message for name, pace in self._paces.items()}
+        return "; ".join(f"{name}: {words}" for name, words in told.items() if words) or None
+
+    @property
+    def note_fields(self) -> Sequence[Note]:
+        """The notes of all agents, each after the name of its robot."""
+        every = [(name, note) for name, pace in self._paces.items() for note in pace.agent.note_fields]
+        return [replace(note, name=f"{name}/{note.name}") for name, note in every]
+
+    def notes(self) -> Mapping[str, Any]:
+        """Return the notes of all agents that have decided, each after the name of its robot."""
+        return {f"{name}/{key}": own for name, pace in self._paces.items() for key, own in pace.notes().items()}
+
+    def events(self) -> Sequence[Event]:
+        """Return the requests of all agents."""
+        return [event for pace in self._paces.values() for event in pace.agent.events()]

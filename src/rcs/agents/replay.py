@@ -1,0 +1,55 @@
+"""An agent that plays recorded actions, regardless of observations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from rcs.agents.agent import Agent
+from rcs.envs.spaces import Action, Observation
+from rcs.errors import WrongOrder
+
+
+class Replay(Agent):
+    """Returns the actions of a recorded episode one after the other, regardless of observations."""
+
+    def __init__(self, actions: Mapping[str, Any]) -> None:
+        """Take the actions.
+
+        Args:
+            actions: One array (steps, ...) per key; with several robots, such a dictionary per robot.
+        """
+        self._actions = dict(actions)
+        self._length = min(_lengths(self._actions), default=0)
+        self._next = 0
+
+    def __len__(self) -> int:
+        """Return the number of steps."""
+        return self._length
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Start at the first action."""
+        self._next = 0
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        """Return the next recorded action.
+
+        Raises:
+            WrongOrder: All actions were played.
+        """
+        if self._next >= self._length:
+            raise WrongOrder(f"All {self._length} recorded actions were played; call reset to start again.")
+        self._next += 1
+        return _row(self._actions, self._next - 1)
+
+
+def _lengths(actions: Mapping[str, Any]) -> Iterator[int]:
+    for value in actions.values():
+        if isinstance(value, Mapping):
+            yield from _lengths(value)
+        else:
+            yield len(value)
+
+
+def _row(actions: Mapping[str, Any], i: int) -> Action:
+    return {key: _row(value, i) if isinstance(value, Mapping) else value[i] for key, value in actions.items()}

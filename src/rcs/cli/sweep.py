@@ -1,0 +1,155 @@
+"""`rcs sweep`: how often the checkpoints of a training succeed, and the best of them again."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rcs_data.cli.console import plain_console
+from rcs_data.cli.program import INTERRUPTED
+from rcs_data.read.verdicts import Verdicts
+from rich.console import Console
+
+from rcs.cli.run import fitted_setup
+from rcs.cli.runs import LedgerOptions, PoolOptions, attempts_of, interruptible, show, tell
+from rcs.cli.setup_options import SetupOptions, changed
+from rcs.errors import InvalidSetup
+from rcs.policy import Execution, ServedPolicy
+from rcs.rollout.evaluation import Evaluation, Summary
+from rcs.rollout.serving import serving
+
+CHECKPOINTS, DESCRIPTION, LAST, WEIGHTS = "checkpoints", "checkpoint.json", "last", "pretrained_model"
+"""Names in the folders of runs: ours have a description; those of LeRobot a link to the last whole one, and weights."""
+AGAIN = "again"
+"""Tag of the evaluation of the best checkpoint on seeds that did not choose it."""
+_PAUSE = 5.0
+_OTHER_SEEDS = 1 << 31
+"""Added to the seed when the best is evaluated again."""
+
+
+@dataclass(kw_only=True)
+class SweepCommand(SetupOptions):
+    """Evaluate all checkpoints of a training, and the best of them again on other seeds.
+
+    The best of many is chosen by luck, too: only its success on seeds that did not choose it is without a bias. Every
+    episode is in the ledger, so that the same command goes on after a kill, and takes in checkpoints that came since.
+    Several sweeps of one run share the episodes; with `--serve`, each has a GPU of its own, where there are several.
+    """
+
+    training: tyro.conf.Positional[Path]
+    """Folder of the run of `rcs train`, or of LeRobot, which needs `--serve`."""
+    agent: tyro.conf.Suppress[None] = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    """The checkpoints act."""
+    task: str | None = None  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
+    """Name of the task; by default that of the training, and PickCuboid with `--serve`."""
+    serve: str | None = None
+    """Command that serves a checkpoint, with `{checkpoint}` and `{port}`, such as `envs/lerobot/bin/vlagents serve act
+    --checkpoint {checkpoint} --port {port}`. It is ended, with all its children, after the checkpoint's episodes."""
+    execution: Annotated[Execution, tyro.conf.OmitArgPrefixes] = field(default_factory=Execution)
+    episodes: int = 100
+    """Number of episodes of each checkpoint."""
+    follow: bool = False
+    """Wait for more checkpoints until the training has made its last; of LeRobot's, until Ctrl-C."""
+    pool: Annotated[PoolOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=PoolOptions)
+    ledger: Annotated[LedgerOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=LedgerOptions)
+
+    def run(self) -> int:
+        """Evaluate, print the results and return the exit code."""
+        options, console = self.ledger.checked(), plain_console(soft_wrap=False)
+        if not (found := checkpoints_in(self.training)) and not self.follow:
+            raise InvalidSetup(f"There is no checkpoint in {self.training}; valid is the folder of a run.")
+        rates: dict[int, tuple[float, Path]] = {}
+        try:
+            while True:
+                for steps, path in (one for one in found if one[0] not in rates):
+                    summary = self._evaluate(steps, path, options, console)
+                    if summary.is_interrupted:
+                        return INTERRUPTED
+                    rates[steps] = (summary.successes / summary.judged if summary.judged else -1.0, path)
+                if not self.follow or (found and self._is_last(*found[-1])):
+                    break
+                time.sleep(_PAUSE)
+                found = checkpoints_in(self.training)
+        except KeyboardInterrupt:
+            if not rates:
+                raise
+        steps = max(rates, key=lambda one: (rates[one][0], one))
+        console.print(f"Best of {len(rates)}, by the episodes above: {steps} steps. Now on other seeds:")
+        again = {**options, "tags": {**(self.ledger.tags or {}), "sweep": AGAIN}}
+        summary = self._evaluate(steps, rates[steps][1], again, console, seed=self.seed + _OTHER_SEEDS)
+        verdicts = Verdicts.of(result.success for result in summary.results)
+        console.print(f"{steps} steps, on seeds that did not choose it: {verdicts}", soft_wrap=True)
+        return INTERRUPTED if summary.is_interrupted else 0
+
+    def _evaluate(
+        self, steps: int, path: Path, options: dict[str, Any], console: Console, seed: int | None = None
+    ) -> Summary:
+        """Evaluate a checkpoint and tell how it went."""
+        name = f"{self.ledger.name or name_of(path)}@{steps}" + ("" if seed is None else f" {AGAIN}")
+        summary, started = Summary(), time.perf_counter()
+        with ExitStack() as stack:
+            if self.serve is None:
+                setup, agent, trained = self._own_setup(path), str(path), None
+            else:
+                self.ledger.out.mkdir(parents=True, exist_ok=True)
+                log = self.ledger.out.with_name(f"{self.ledger.out.name}-server.log")
+                address = stack.enter_context(serving(self.serve, path, log))
+                agent = ServedPolicy(address=address, execution=self.execution, trained=steps)
+                setup, trained = fitted_setup(replace(self, task=self.task or "PickCuboid"), agent.metadata()), steps
+            evaluation = Evaluation(
+                **options,
+                setup=setup,
+                agent=agent,
+                episodes=self.episodes,
+                seed=self.seed if seed is None else seed,
+                workers=1 if trained is not None else self.pool.processes(self.episodes),
+                ray=self.pool.ray,
+            )
+            evaluation = replace(evaluation, name=name)
+            attempts, made_by = attempts_of(evaluation, summary, self.pool)
+            with interruptible(summary, console):
+                show(attempts, name, len(evaluation.numbers), console, lambda: len(summary.attempts))
+            tell(evaluation, summary, self.ledger.videos, time.perf_counter() - started, made_by, console)
+        return summary
+
+    def _own_setup(self, path: Path) -> Any:
+        """Return the environment of a checkpoint of ours, with the options that were given."""
+        if not (path / DESCRIPTION).exists():
+            raise InvalidSetup(f"{path} is a checkpoint of LeRobot; say by --serve how it is served.")
+        from rcs.rl.checkpoint import open_checkpoint
+
+        setup = changed(open_checkpoint(path, trust=self.trust).training.evaluation_setup, self.given)
+        if self.task is not None and self.task != setup.task:
+            raise InvalidSetup(f"{path} was trained for {setup.task}, not for {self.task}.")
+        return setup
+
+    def _is_last(self, steps: int, path: Path) -> bool:
+        """Return whether a training of ours is over with a checkpoint."""
+        if not (path / DESCRIPTION).exists():
+            return False
+        from rcs.rl.checkpoint import open_checkpoint
+
+        return steps >= open_checkpoint(path, trust=self.trust).training.steps
+
+
+def checkpoints_in(run: Path) -> list[tuple[int, Path]]:
+    """Return steps and folders of the whole checkpoints of a run, oldest first."""
+    for folder in (run / CHECKPOINTS, run / "run" / CHECKPOINTS):
+        if folder.is_dir():
+            found = sorted((int(path.name), path) for path in folder.iterdir() if path.name.isdigit())
+            newest = int((folder / LAST).resolve().name) if (folder / LAST).exists() else None
+            ours = [(steps, path) for steps, path in found if (path / DESCRIPTION).is_file()]
+            theirs = [(steps, path / WEIGHTS) for steps, path in found if newest is not None and steps <= newest]
+            return ours or theirs
+    return []
+
+
+def name_of(checkpoint: Path) -> str:
+    """Return the name of the run of a checkpoint: that of the folder above `checkpoints`, or above `run`."""
+    parts = checkpoint.resolve().parts
+    above = [part for part in parts[: len(parts) - parts[::-1].index(CHECKPOINTS) - 1] if part != "run"]
+    return above[-1]

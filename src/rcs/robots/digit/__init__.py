@@ -1,1 +1,0 @@
-"""The DIGIT, a fingertip sensor with a camera behind an elastic gel."""

@@ -1,1 +1,0 @@
-"""The Franka Research 3 arm."""

@@ -1,1 +1,0 @@
-"""The Franka Hand, a parallel gripper with two fingers."""

@@ -1,1 +1,0 @@
-"""An ideal camera: no housing, no mass, any size."""

@@ -1,1 +1,0 @@
-"""The Intel RealSense D405, a stereo camera for short range."""

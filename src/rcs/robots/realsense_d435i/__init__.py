@@ -1,1 +1,0 @@
-"""The Intel RealSense D435i, a D435 with an inertial measurement unit."""

@@ -1,1 +1,0 @@
-"""The SO101 follower arm, without its gripper."""

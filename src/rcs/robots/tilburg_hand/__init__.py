@@ -1,1 +1,0 @@
-"""The Tilburg Hand, with sixteen driven joints in a thumb and three fingers."""

@@ -1,1 +1,0 @@
-"""The Universal Robots UR5e arm."""

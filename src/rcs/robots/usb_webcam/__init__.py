@@ -1,1 +1,0 @@
-"""A plain USB camera, a board with a small lens as sold by InnoMaker and others."""

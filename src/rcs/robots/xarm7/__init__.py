@@ -1,1 +1,0 @@
-"""The UFACTORY xArm 7 arm."""

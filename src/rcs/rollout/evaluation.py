@@ -1,0 +1,131 @@
+"""The recipe of an evaluation, and its results."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rcs_data.read.verdicts import wilson_interval
+
+from rcs.agents.identity import Identity
+from rcs.envs.env import Env
+from rcs.envs.setup import Setup
+from rcs.errors import InvalidSetup
+from rcs.rollout.collect import Attempt, seed_of
+from rcs.rollout.episode import EpisodeResult
+from rcs.rollout.foreign import ForeignEnv, ForeignSimulator
+from rcs.setups.make import make
+
+UNSEEN = 1 << 60
+"""First seed of evaluations: collections have those below 2**32, training those from 2**61 on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """The recipe of an evaluation."""
+
+    setup: Setup
+    simulator: ForeignSimulator | None = None
+    """The simulator of another project that `setup` is of; None for the one here, or for real devices."""
+    agent: Any = None
+    """An agent's class or name, `module:Class`, the path of a checkpoint, the address of a policy, or an `Identified`;
+    None for the expert of the task. In one process also an agent."""
+    name: str | None = None
+    """Name of the agent in the ledger; None for its own."""
+    tags: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Words for the ledger, by which figures can be ordered, such as `{"mix": "half real"}`."""
+    episodes: int = 50
+    seed: int = 0
+    """Same seed, same episodes; different seeds share none. No collection and no training has any of them."""
+    repeat: int = 0
+    """How often each episode is run again, though it is there."""
+    against: str | None = None
+    """Another agent in the same ledger, by name or hash, for `until`."""
+    until: float | None = None
+    """Level, such as 0.05: end as soon as the seeds shared with `against` show which agent is better."""
+    workers: int = 1
+    """Processes; one works in this process. With `ray`, 0 is one per CPU of the cluster."""
+    ray: str | None = None
+    """Address of a Ray cluster for the processes: `auto` for the one that this machine is a part of, or `host:port`;
+    None for this machine, without Ray."""
+    out: Path | None = None
+    """Folder of a ledger that takes the episodes: those that are there already are not run again; None for none."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InvalidSetup: A number is not valid, or an option lacks another one.
+        """
+        fewest = 1 if self.ray is None else 0
+        for name, least in (("episodes", 1), ("seed", 0), ("repeat", 0), ("workers", fewest)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or value < least:
+                raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}.")
+        if self.until is not None and not 0 < self.until < 1:
+            raise InvalidSetup(f"until is {self.until!r}; valid is a level between 0 and 1, such as 0.05.")
+        if (self.until is None) != (self.against is None) or (self.against is not None and self.out is None):
+            raise InvalidSetup(
+                "until, against and out belong together: a level, another agent, and the ledger with both."
+            )
+
+    def make(self) -> Env:
+        """Return a new environment for the episodes."""
+        return make(self.setup) if self.simulator is None else ForeignEnv(self.simulator)
+
+    @property
+    def numbers(self) -> range:
+        """Numbers of all episodes: repetitions come after."""
+        return range(self.episodes * (1 + self.repeat))
+
+    def repeat_of(self, number: int) -> int:
+        """Return which repetition an episode is; 0 for the first time."""
+        return number // self.episodes
+
+    def seed_of(self, number: int) -> int:
+        """Return the seed of an episode."""
+        return UNSEEN + seed_of(self.seed, number % self.episodes)
+
+
+@dataclass(kw_only=True)
+class Summary:
+    """Results of an evaluation or a collection."""
+
+    attempts: list[Attempt] = field(default_factory=list[Attempt])
+    """Attempts in the order of their ends, after those that were there before."""
+    found: int = 0
+    """How many of them were not run, but found in the ledger."""
+    is_interrupted: bool = False
+    """Set it to end the evaluation after the running episodes."""
+    identity: Identity | None = None
+    """Who acts, once an evaluation with a ledger has begun."""
+    condition: str = ""
+    """The hash of its condition in the ledger."""
+
+    @property
+    def results(self) -> list[EpisodeResult]:
+        """The results, in the order of the attempts' numbers."""
+        return [attempt.result for attempt in sorted(self.attempts, key=lambda attempt: attempt.number)]
+
+    @property
+    def judged(self) -> int:
+        """Episodes with a verdict."""
+        return sum(result.success is not None for result in self.results)
+
+    @property
+    def successes(self) -> int:
+        """Episodes in which the task was done."""
+        return sum(bool(result.success) for result in self.results)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % Wilson interval of the success rate, 0 … 1; all of it if nothing was judged."""
+        return wilson_interval(self.successes, self.judged)
+
+    @property
+    def failures(self) -> Counter[str]:
+        """Number of failures by class."""
+        return Counter(result.failure for result in self.results if result.failure is not None)

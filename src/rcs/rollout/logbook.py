@@ -1,0 +1,282 @@
+"""The ledger of one evaluation: which of its episodes are there, which are to be run, and what came of them."""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rcs_data.files.closing import Closing
+from rcs_data.ledger import Condition, Ledger, Pairs, Row
+from rcs_data.ledger.condition import key_of, named
+
+from rcs.agents.identity import Identity, code_of
+from rcs.devices import lookup
+from rcs.envs.observers.dataset_info import versions
+from rcs.envs.setup import Setup
+from rcs.errors import InvalidSetup, RcsError
+from rcs.rollout.collect import Attempt
+from rcs.rollout.episode import Answer, EpisodeResult
+from rcs.rollout.evaluation import Evaluation, Summary
+from rcs.setups.resolve import resolve, with_camera_names
+
+
+def condition_of(evaluation: Evaluation, identity: Identity, platform: Mapping[str, str] | None = None) -> Condition:
+    """Return what the episodes of an evaluation share.
+
+    Args:
+        evaluation: The evaluation.
+        identity: Who acts.
+        platform: Drivers by the robot's name, as of the environment; None for simulation.
+
+    Raises:
+        UnknownName: The setup names something that is not there.
+        InvalidSetup: Its parts do not fit each other.
+    """
+    setup, own = evaluation.setup, list[str]()
+    if evaluation.simulator is None:
+        setup = with_camera_names(setup)
+        resolve(setup)  # before anything is written
+        own = list(_modules(setup))
+    real = {name: driver for name, driver in (platform or {}).items() if driver != "simulation"}
+    return Condition(
+        agent=evaluation.name or identity.name,
+        weights=identity.weights,
+        trained=identity.trained,
+        data=identity.data,
+        policy=identity.policy,
+        execution=identity.execution,
+        task=setup.task,
+        robot=setup.robot_label,
+        setup=setup.to_json(),
+        platform=real,
+        tags=evaluation.tags,
+        code={**code_of([*identity.modules, *own]), **_files(setup)},
+        versions=versions(),
+    )
+
+
+def _files(setup: Setup) -> dict[str, str]:
+    """Return the hashes of files that a setup names, whose contents may change."""
+    path = setup.cameras.calibration
+    return {} if path is None else {"cameras.calibration": hashlib.sha256(Path(path).read_bytes()).hexdigest()}
+
+
+def _modules(setup: Setup) -> Iterator[str]:
+    """Yield the modules that a setup has parts of."""
+    robots = [setup.robot] if isinstance(setup.robot, str) else list(setup.robot.values())
+    ends = setup.end_effector if isinstance(setup.end_effector, Mapping) else {"": setup.end_effector or ""}
+    yield from (name.partition(":")[0] for name in [*robots, *ends.values()] if ":" in name)
+    yield lookup.find("task", setup.task).__module__
+    yield from (lookup.find("layer", name).__module__ for name in setup.layers)
+    yield from (lookup.find("gate", name).__module__ for name in setup.gates)
+
+
+class Logbook(Closing):
+    """The ledger of an evaluation. Nothing is written before the first episode."""
+
+    def __init__(
+        self,
+        evaluation: Evaluation,
+        identity: Identity,
+        condition: Condition,
+        judge: str = "task",
+        *,
+        is_blind: bool = False,
+    ) -> None:
+        """Read what is there.
+
+        Args:
+            evaluation: The evaluation, which has a folder.
+            identity: Who acts.
+            condition: What its episodes share.
+            judge: Who judges, `task` or `person`.
+            is_blind: Whether nothing that is written may say who acts.
+
+        Raises:
+            DatasetError: Something else is in the folder, or it cannot be read.
+            InvalidSetup: There is no agent to decide against.
+        """
+        assert evaluation.out is not None
+        self._evaluation, self._identity, self._judge, self._is_blind = evaluation, identity, judge, is_blind
+        self.condition = condition
+        """What the episodes share."""
+        self.hash = condition.hash
+        """Its hash."""
+        is_there = evaluation.out.is_dir() and any(evaluation.out.iterdir())
+        self._ledger = Ledger.open(evaluation.out) if is_there else None
+        self.pairs = Pairs()
+        """Verdicts of this agent, A, and of the one to decide against, B, as far as they are compared."""
+        self._compared, self._is_decided = 0, False
+        self._theirs: dict[int, bool | None] = {}
+        if evaluation.against is not None:
+            if self._ledger is None:
+                raise InvalidSetup(f"There is no ledger in {evaluation.out}, so nothing to decide against.")
+            against = self._ledger.find(evaluation.against)
+            if against == self.hash:
+                raise InvalidSetup(
+                    f"{evaluation.against!r} is the agent that is evaluated; name another to decide against."
+                )
+            self._theirs = {row.seed: row.success for row in self._ledger.of(against)}
+
+    @property
+    def ledger(self) -> Ledger:
+        """The ledger; the folder becomes one if it is none yet."""
+        if self._ledger is None:
+            assert self._evaluation.out is not None
+            self._ledger = Ledger.open(self._evaluation.out)
+        return self._ledger
+
+    def name_of(self, number: int) -> str:
+        """Return the name of an episode, by its number: of its row, its film and its recording."""
+        key = key_of(self.hash, self._evaluation.seed_of(number))
+        return named(key, self._evaluation.repeat_of(number))
+
+    def row_of(self, number: int) -> Row | None:
+        """Return the row of an episode, by its number; None if it is not there."""
+        return None if self._ledger is None else self._ledger.rows.get(self.name_of(number))
+
+    def take(self, summary: Summary) -> None:
+        """Add the episodes that are there, and not in a summary yet, to it."""
+        if self._ledger is None:
+            return
+        self._ledger.refresh()
+        known = {attempt.number for attempt in summary.attempts}
+        for number in self._evaluation.numbers:
+            if number not in known and (row := self.row_of(number)) is not None:
+                summary.attempts.append(_attempt(number, row))
+                summary.found += 1
+
+    def missing(self, summary: Summary) -> Iterator[int]:
+        """Yield the numbers to be run, each when it is asked for; those at work elsewhere are left to others."""
+        for number in self._evaluation.numbers:
+            if summary.is_interrupted or self.is_decided(summary):
+                return
+            if self.is_missing(number):
+                yield number
+
+    def is_missing(self, number: int) -> bool:
+        """Return whether an episode is neither there nor at work elsewhere; it is then this process's own."""
+        key, repeat = key_of(self.hash, self._evaluation.seed_of(number)), self._evaluation.repeat_of(number)
+        return self.row_of(number) is None and self.ledger.claim(key, repeat)
+
+    def add(self, attempt: Attempt, corrections: int = 0) -> None:
+        """Write what came of an episode.
+
+        Args:
+            attempt: The episode.
+            corrections: How often the answer of its judge was taken back before.
+
+        Raises:
+            RcsError: Other weights acted than those that the evaluation began with, or a policy at an address was lost
+                in simulation, where that says nothing about it.
+            DatasetError: The disk is full or fails.
+        """
+        if attempt.weights != self._identity.weights:
+            which = "" if self._is_blind else f", from {self._identity.weights} to {attempt.weights}"
+            raise RcsError(
+                f"The weights of {self.condition.agent} changed during the evaluation{which}. Episode {attempt.number} "
+                "is left out; run it again to evaluate the new ones."
+            )
+        if attempt.is_lost and not self.condition.is_real:
+            raise RcsError(
+                f"The policy was lost: {self._words(attempt)}. Episode {attempt.number} is left out; start the "
+                "server, and run the same again to go on."
+            )
+        condition, result = self.condition, attempt.result
+        p50, p99 = np.percentile(attempt.latencies, (50, 99)).tolist() if attempt.latencies else (None, None)
+        if not self._is_blind:
+            self.ledger.register(condition, self._identity.place)
+        seed = self._evaluation.seed_of(attempt.number)
+        row = Row(
+            key=key_of(self.hash, seed),
+            repeat=self._evaluation.repeat_of(attempt.number),
+            condition=self.hash,
+            seed=seed,
+            agent=condition.agent,
+            weights=condition.weights,
+            trained=condition.trained,
+            data=condition.data,
+            task=condition.task,
+            robot=condition.robot,
+            is_real=condition.is_real,
+            success=result.success,
+            failure=result.failure,
+            message=result.words or (None if self._is_blind else result.message),
+            judge="nobody" if result.success is None else self._judge,
+            stages=result.stages,
+            tags=result.tags,
+            corrections=corrections,
+            steps=result.steps,
+            reward=result.reward if math.isfinite(result.reward) else None,
+            latency_p50=p50,
+            latency_p99=p99,
+            seconds=attempt.seconds,
+            ended=datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds"),
+        )
+        self.ledger.add(row)
+
+    def correct(self, attempt: Attempt, answer: Answer) -> Attempt:
+        """Write another answer of the judge for an episode that is there, and return the attempt with it.
+
+        Raises:
+            DatasetError: The disk is full or fails.
+        """
+        row = self.row_of(attempt.number)
+        assert row is not None, "it was answered"
+        corrected = replace(attempt, result=attempt.result.corrected(answer))
+        self.add(corrected, row.corrections + 1)
+        self.pairs, self._compared, self._is_decided = Pairs(), 0, False  # counted anew
+        return corrected
+
+    def _words(self, attempt: Attempt) -> str:
+        return "whose name is not told" if self._is_blind else str(attempt.result.message)
+
+    def is_decided(self, summary: Summary) -> bool:
+        """Return whether the episodes so far decide between this agent and the other one.
+
+        Only episodes before the first that still runs count, in the order of their numbers: successes end sooner than
+        failures, so that whatever ended first would favour them.
+        """
+        if self._evaluation.until is None:
+            return False
+        ours = {attempt.number: attempt.result.success for attempt in summary.attempts}
+        while not self._is_decided and self._compared in ours and self._compared < self._evaluation.episodes:
+            seed = self._evaluation.seed_of(self._compared)
+            pair = Pairs.of({seed: ours[self._compared]}, {seed: self._theirs.get(seed)})
+            self.pairs = self.pairs + pair
+            self._compared += 1
+            self._is_decided = self.pairs.is_decided(self._evaluation.until)
+        return self._is_decided
+
+    def close(self) -> None:
+        """Give up what was claimed. Closing twice is harmless."""
+        if self._ledger is not None:
+            self._ledger.close()
+
+
+def _attempt(number: int, row: Row) -> Attempt:
+    result = EpisodeResult(
+        seed=row.seed,
+        steps=row.steps,
+        success=row.success,
+        failure=row.failure,
+        reward=math.nan if row.reward is None else row.reward,
+        message=row.message,
+        stages=row.stages,
+        tags=row.tags,
+    )
+    return Attempt(number=number, result=result, weights=row.weights, seconds=row.seconds)
+
+
+def differs(row: Row, result: EpisodeResult) -> bool:
+    """Return whether an episode that was run again went otherwise than its row says."""
+    reward = math.nan if row.reward is None else row.reward
+    is_alike = row.steps == result.steps and bool(np.isclose(result.reward, reward, equal_nan=True))
+    if row.judge == "person" or (row.judge == "nobody" and row.failure is None):  # nobody judges a film
+        return not is_alike
+    return not is_alike or (row.success, row.failure) != (result.success, result.failure)

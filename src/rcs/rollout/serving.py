@@ -1,0 +1,152 @@
+"""Servers of policies and simulators that are started for an evaluation, and ended with it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TypeVar
+
+from rcs.errors import InvalidSetup, RcsError
+from rcs.policy import ServedPolicy
+from rcs.rollout.gpus import VARIABLE, own_gpu
+
+T = TypeVar("T")
+
+PATIENCE = 180.0
+"""How long a server may take until it answers [s]: large weights are read from a slow disk."""
+_PAUSE, _GRACE = 0.2, 10.0
+_TOLD = 15
+"""Lines of a server's output that are told when it fails."""
+
+
+class ServerProcess:
+    """A program that serves something at an address of this machine. It ends with this program, however that ends."""
+
+    def __init__(self, words: Sequence[str], log: Path, *, gpu: str | None = None) -> None:
+        """Start it.
+
+        Args:
+            words: The command, with `{port}` where the port belongs.
+            log: File to which everything is appended that it prints.
+            gpu: The only GPU that it sees; None for all that this program sees.
+
+        Raises:
+            InvalidSetup: There is no such program.
+        """
+        port = _free_port()
+        words = [word.replace("{port}", str(port)) for word in words]
+        self.address, self._log, parent = f"vla://127.0.0.1:{port}", log, os.getpid()
+        """Where it listens, once it does."""
+        environment = os.environ if gpu is None else {**os.environ, VARIABLE: gpu}
+        libc = ctypes.CDLL(None)  # before the fork, after which nothing may be loaded
+        with log.open("ab") as output:
+            try:
+                self._process = subprocess.Popen(
+                    words,
+                    env=environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                    preexec_fn=lambda: _die_with(parent, libc),
+                )
+            except OSError as err:
+                raise InvalidSetup(f"Could not start {words[0]!r}: {err.strerror or err}.") from err
+
+    def wait(self, ask: Callable[[], T], patience: float) -> T:
+        """Return what a call returns, once it answers.
+
+        Args:
+            ask: Calls the server; raises `RcsError` as long as it does not answer.
+            patience: How long it may take [s].
+
+        Raises:
+            InvalidSetup: It answers, and what it serves does not fit.
+            RcsError: It ended, or does not answer in time; the message has its last lines.
+        """
+        until = time.monotonic() + patience
+        while True:
+            try:
+                return ask()
+            except InvalidSetup:
+                raise
+            except RcsError as err:
+                if (code := self._process.poll()) is not None:
+                    raise RcsError(f"The server ended with {code}:\n{_last_lines(self._log)}") from err
+                if time.monotonic() > until:
+                    raise RcsError(
+                        f"The server does not answer after {patience:g} s: {err}\n{_last_lines(self._log)}"
+                    ) from err
+            time.sleep(_PAUSE)
+
+    def end(self, grace: float = _GRACE) -> None:
+        """End it and its children, which are a session of their own. A second call does nothing.
+
+        Args:
+            grace: How long they may take to end by themselves [s].
+        """
+        if grace:
+            with suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGTERM)
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(grace)
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+
+
+@contextmanager
+def serving(command: str, checkpoint: Path, log: Path, *, patience: float = PATIENCE) -> Generator[str]:
+    """Start the server of a checkpoint, and yield its address once it answers; it is ended with all its children.
+
+    Where there are several GPUs, it sees one that no other server started so has.
+
+    Args:
+        command: Words as for a shell, with `{checkpoint}` and `{port}`, such as
+            `envs/lerobot/bin/vlagents serve act --checkpoint {checkpoint} --port {port}`.
+        checkpoint: What it serves.
+        log: File for what it prints.
+        patience: How long it may take until it answers [s].
+
+    Raises:
+        InvalidSetup: The command lacks a place for checkpoint or port, or there is no such program.
+        RcsError: The server ended, or does not answer in time.
+    """
+    words = shlex.split(command)
+    for name in ("{checkpoint}", "{port}"):
+        if not any(name in word for word in words):
+            raise InvalidSetup(f"The command {command!r} has no {name}; give it a place, as in `--port {{port}}`.")
+    with own_gpu() as gpu:
+        server = ServerProcess([word.replace("{checkpoint}", str(checkpoint)) for word in words], log, gpu=gpu)
+        try:
+            server.wait(ServedPolicy(address=server.address).metadata, patience)
+            yield server.address
+        finally:
+            server.end()
+
+
+def _die_with(parent: int, libc: ctypes.CDLL) -> None:
+    """Make Linux kill the server when the evaluation dies."""
+    if sys.platform == "linux":
+        libc.prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG of linux/prctl.h
+        if os.getppid() != parent:
+            os._exit(1)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _last_lines(log: Path) -> str:
+    return "\n".join(log.read_text(errors="replace").splitlines()[-_TOLD:])

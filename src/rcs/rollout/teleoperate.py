@@ -1,0 +1,171 @@
+"""People lead robots through many takes, in one loop that goes on until they end it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rcs.agents import Agent, Event, Pace
+from rcs.envs.env import Env
+from rcs.envs.spaces import Observation
+from rcs.envs.step.judge import FAULT
+from rcs.rollout.takes import LoopStatistics, Takes
+
+VERDICTS: Mapping[Event, bool] = {"success": True, "failure": False}
+"""Events that end a take with a verdict."""
+
+
+class Teleoperation:
+    """One running loop over many takes.
+
+    The events of the agent act: `start` begins a take, or ends it with the verdict of the task, if it has one;
+    `success`, `failure` and `discard` end it; `reset` begins the next episode, also after a fault; `stop` ends all.
+    In simulation, a take that has ended is followed by the next episode, a discarded one by the same again. On real
+    robots the loop goes on, so that the robot can be led to where the next take begins. Whenever a take ends, all
+    devices hold, and the person has to press the clutch anew.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        agent: Agent,
+        *,
+        takes: Takes | None = None,
+        seed: int = 0,
+        tell: Callable[[str], None] = lambda words: None,
+    ) -> None:
+        """Prepare; nothing moves.
+
+        Args:
+            env: The environment; its episodes best have no limit of steps.
+            agent: An operator, or agents with operators among them.
+            takes: Takes with a recorder of the environment; None for no recording.
+            seed: Seed of the first episode.
+            tell: Called with words about takes and faults.
+
+        Raises:
+            InvalidSetup: The agent's rate does not divide the environment's.
+        """
+        self.env, self.agent, self.takes = env, agent, takes
+        self.seed = seed
+        """Seed of the present episode."""
+        self.statistics = LoopStatistics(env.frequency)
+        """How well the loop keeps its rate."""
+        self.observation: Observation = {}
+        """The present observation."""
+        self.info: Mapping[str, Any] = {}
+        """Info of the last step, or of the reset."""
+        self.is_over = True
+        """Whether the episode is over, by a fault, so that only `reset` goes on."""
+        self.is_ending = False
+        """Whether the loop ends."""
+        self._pace, self._tell = Pace(env, agent), tell
+        self._ended: float | None = None
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether everything is simulated, so that an episode can begin anew without anybody's help."""
+        return set(self.env.platform.values()) == {"simulation"}
+
+    def begin(self, seed: int | None = None) -> None:
+        """Begin an episode; real robots stay where they are.
+
+        Args:
+            seed: Its seed; None for the one after the present one.
+
+        Raises:
+            DeviceFault: A device is in its fault state.
+        """
+        self.seed = self.seed + 1 if seed is None else seed
+        self.observation, self.info = self.env.reset(seed=self.seed)
+        self._pace.reset(self.observation, self.info)
+        self.is_over, self._ended = False, None
+
+    def run(self, is_done: Callable[[], bool] = lambda: False) -> None:
+        """Go on until the event `stop`, or until `is_done`, called after every step, returns True.
+
+        All devices hold at the end, also after an error or Ctrl-C.
+        """
+        try:
+            self.begin(self.seed)
+            while not self.is_ending and not is_done():
+                self.advance()
+        finally:
+            self.env.hold()
+
+    def advance(self) -> None:
+        """Make a step, or wait for a period if the episode is over; then do what the person has asked for."""
+        action = self._pace.act(self.observation, self.info)
+        if self.is_over:
+            time.sleep(1.0 / self.env.frequency)
+        else:
+            self._step(action)
+        for event in self.agent.events():
+            self.obey(event)
+
+    def obey(self, event: Event) -> None:
+        """Do what a person asks for."""
+        if event == "stop":
+            self.is_ending = True
+        elif event == "reset":
+            self._recover()
+            self.begin()
+        elif event in ("start", "discard", *VERDICTS):
+            self._judge(event)
+
+    # --- Steps --------------------------------------------------------------------------------------------------------
+
+    def _step(self, action: Mapping[str, Any]) -> None:
+        self.env.note(**self._pace.notes())
+        self.observation, _, terminated, truncated, self.info = self.env.step(action)
+        now = time.monotonic()
+        if self._ended is not None:
+            self.statistics.add(now - self._ended, self.info)
+            if self.takes is not None:
+                self.takes.add(now - self._ended, self.info)
+        self._ended = now
+        if not terminated and not truncated:
+            return
+        self.is_over = True
+        if faults := self.info.get("faults"):
+            words = "; ".join(f"{name}: {why}" for name, why in faults.items())
+            self._tell(f"{'Fault' if self.info['end'] == FAULT else 'The episode is over'}: {words}. Reset to go on.")
+        elif self.takes is not None and self.takes.is_recording:
+            self._end(self.takes, self._verdict_of_task())
+        elif self.is_simulated:
+            self.begin()
+        else:
+            self._tell("The episode is over. Reset to go on.")
+
+    def _recover(self) -> None:
+        if self.info.get("faults"):
+            self.env.recover()
+
+    # --- Takes --------------------------------------------------------------------------------------------------------
+
+    def _judge(self, event: Event) -> None:
+        takes = self.takes
+        if takes is None:
+            self._tell("Nothing is recorded; give a folder to record into.")
+        elif event == "start" and takes.now is None:
+            self._tell("The episode is over. Reset before the next take." if self.is_over else takes.start())
+        elif takes.now is None:
+            self._tell("There is no take; start one first.")
+        elif event == "discard":
+            self._end(takes, None, is_kept=False)
+        elif takes.is_recording:
+            self._end(takes, VERDICTS[event] if event in VERDICTS else self._verdict_of_task())
+
+    def _verdict_of_task(self) -> bool | None:
+        success = self.info.get("success")
+        return None if success is None else bool(success)
+
+    def _end(self, takes: Takes, success: bool | None, *, is_kept: bool = True) -> None:
+        self.env.hold()  # writing takes longer than a period
+        self._tell(takes.finish(success) if is_kept else takes.discard())
+        if self.is_simulated:
+            self.begin(None if is_kept else self.seed)
+        elif not self.is_over:
+            self._pace.reset(self.observation, self.info)
+            self._ended = None

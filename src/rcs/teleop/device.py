@@ -1,0 +1,127 @@
+"""The interface of an input device: what a person's hands are doing, and when that was measured.
+
+A device only measures. Clutch, scale, filter, speed bounds and the reaction to silence are the operator's, once for all
+devices; so a device neither smooths, nor bounds, nor repeats an old reading as a new one.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from rcs_data.files.closing import Closing
+
+from rcs.envs.spaces import Observation
+
+Button = Literal[
+    "clutch", "gripper", "front", "start", "success", "failure", "discard", "stop", "reset", "takeover"
+]  # fmt: skip
+"""The meaning of a button that is held down.
+
+`clutch` couples the hand to the robot as long as it is held. `gripper` opens or closes at each press. `front` says that
+the person faces the robot's front as they point now. `start` begins a take, or ends it without a verdict; `success`,
+`failure` and `discard` end it with one; `reset` begins the next episode, `stop` ends the session, and `takeover` gives
+the robot from a policy to the person and back.
+"""
+
+BUTTONS: tuple[Button, ...] = get_args(Button)
+"""All meanings."""
+
+POLL = 0.1
+"""Longest time that `read` waits [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandReading:
+    """One hand, or one arm of a leader. At most one of `pose`, `twist` and `joints` is given, the same in all readings.
+
+    The device's frame is level: x to its front, y to the left, z up. Only the way that a hand makes matters, never
+    where it is.
+    """
+
+    pose: NDArray[np.float64] | None = None
+    """Pose of the hand in the device's frame, (7,): translation [m] and quaternion xyzw."""
+    twist: NDArray[np.float64] | None = None
+    """Wanted velocity of the TCP along and about the axes of the device's frame, (6,): [m/s], [rad/s]."""
+    joints: NDArray[np.float64] | None = None
+    """Joints of a leader, as those of the robot that follows, (dof,): [rad]."""
+    opening: float | None = None
+    """Wanted opening of the gripper, 0 closed … 1 open; None if a button opens and closes it."""
+    buttons: frozenset[Button] = frozenset()
+    """Buttons that are held down. A device without a clutch of its own says `clutch` while it is deflected, or a key of
+    it is held."""
+    is_tracked: bool = True
+    """Whether the device knows where the hand is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """All hands at one moment."""
+
+    time: float
+    """When the device was sampled [s, `time.monotonic()`]."""
+    hands: Mapping[str, HandReading]
+    """By name: `left` and `right` of devices with two, `right` alone of devices with one."""
+    device_time: float | None = None
+    """The same on the device's own clock [s]; None if it has none. One that stands still makes a reading stale."""
+    counts: Mapping[str, int] = field(default_factory=dict[str, int])
+    """What the device could not use since `open`, by its kind, such as `damaged` messages."""
+
+
+class InputDevice(Closing, ABC):
+    """A device in a person's hands. Entry points of `rcs.operators` are called with an address, or with None.
+
+    The operator calls `open`, then `read` again and again from one thread of its own, and `close` from any thread.
+    `feedback` comes from the loop's thread and returns at once.
+    """
+
+    valid_for: float = 0.1
+    """Age from which a reading is stale [s]: about four periods of the device, and at least 0.05."""
+    hands: tuple[str, ...] = ("right",)
+    """Names of the hands that readings have, known before `open`."""
+    has_clutch: bool = True
+    """False for leaders without any button: they engage when they are still for a second, near the follower's joints.
+    A device with buttons alone, such as a pedal, gives readings of `hands` without pose, twist or joints."""
+
+    @property
+    def instructions(self) -> str:
+        """What the person has to do once the device is open, such as the address of a page; empty for nothing."""
+        return ""
+
+    @abstractmethod
+    def open(self) -> None:
+        """Connect; nothing moves.
+
+        Raises:
+            DeviceFault: The device is not there, there are two alike, or it may not be opened; the message has the
+                remedy, such as a udev rule.
+            InvalidSetup: The address makes no sense, or a port is taken.
+            MissingDependency: A package is not installed.
+        """
+
+    @abstractmethod
+    def read(self) -> Reading | None:
+        """Return the next reading, or None if there is none within `POLL`; also while nobody is connected.
+
+        Messages that cannot be used are left out and counted; they raise nothing.
+
+        Raises:
+            DeviceFault: The device is lost. The operator holds; only `close` and `open` make it work again.
+        """
+
+    def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Show the person what the robot does: pictures, rumble, torques of a leader.
+
+        Args:
+            observation: The observation of the last step.
+            info: Its info, with `operator`: the state of each hand by name, which is `engaged`, `released` or `held`;
+                and with `led`: the robot of each hand by name.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the device, and end a `read` that waits. Closing twice is harmless."""

@@ -1,0 +1,79 @@
+"""What the page in a headset sends: one message of JSON per picture that the headset shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from rcs.teleop.device import Button, HandReading
+from rcs.teleop.headset_frames import from_headset
+
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+Seven = tuple[float, float, float, float, float, float, float]
+
+MEANINGS: Mapping[str, Mapping[int, Button]] = {
+    "left": {1: "clutch", 3: "reset", 4: "discard", 5: "failure"},
+    "right": {1: "clutch", 3: "front", 4: "start", 5: "success"},
+}
+"""Meanings of buttons by their number in WebXR's `xr-standard` mapping: the squeeze, the stick, A or X, B or Y."""
+PUSHED = -0.8
+"""Deflection of the left stick away from the person that is the button `takeover`."""
+
+
+class HandMessage(msgspec.Struct, forbid_unknown_fields=True):
+    """A controller."""
+
+    pose: Seven | None
+    """Its grip in the headset's axes: translation [m], quaternion xyzw; None while it is not tracked."""
+    trigger: Share
+    """How far the trigger is pulled."""
+    buttons: Annotated[int, Meta(ge=0, lt=1 << 16)]
+    """Bits of the buttons that are held."""
+    stick: Annotated[float, Meta(ge=-1.0, le=1.0)]
+    """Deflection of the stick to the person."""
+
+
+class FrameMessage(msgspec.Struct, forbid_unknown_fields=True):
+    """Both controllers at one time."""
+
+    number: Annotated[int, Meta(ge=0)]
+    """Number of the message, from 0 on."""
+    time: Annotated[float, Meta(ge=0.0, le=1e12)]
+    """Time of the page [ms]."""
+    round_trip: Annotated[float, Meta(ge=0.0, le=1e5)]
+    """Shortest time of a message there and back so far [ms]; 0 if unknown."""
+    hands: dict[str, HandMessage]
+    """Controllers by hand."""
+
+
+_decoder = msgspec.json.Decoder(FrameMessage)
+
+
+def decode(data: Any) -> FrameMessage | None:
+    """Return a message; None if it is none."""
+    try:
+        return _decoder.decode(data)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError, TypeError):
+        return None
+
+
+def hand_of(name: str, message: HandMessage | None) -> HandReading:
+    """Return the reading of a hand.
+
+    Args:
+        name: `left` or `right`.
+        message: What the page says of it; None for nothing.
+    """
+    if message is None:
+        return HandReading(is_tracked=False)
+    buttons: set[Button] = {meaning for bit, meaning in MEANINGS[name].items() if message.buttons >> bit & 1}
+    if name == "left" and message.stick < PUSHED:
+        buttons.add("takeover")
+    pose = None if message.pose is None else from_headset(np.array(message.pose))
+    return HandReading(
+        pose=pose, opening=1.0 - message.trigger, buttons=frozenset(buttons), is_tracked=pose is not None
+    )

@@ -1,0 +1,139 @@
+"""A keyboard that commands velocities: the terminal's, or one that is for the robot alone."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from rcs.errors import InvalidSetup
+from rcs.teleop.device import Button, HandReading, InputDevice, Reading
+from rcs.teleop.input_events import InputEvents
+from rcs.teleop.opened import Opened
+from rcs.teleop.terminal import Terminal
+
+PERIOD = 0.02
+"""Longest time between two readings [s]."""
+MOTIONS = {
+    "w": (0, 1), "s": (0, -1), "a": (1, 1), "d": (1, -1), "r": (2, 1), "f": (2, -1),
+    "o": (3, 1), "u": (3, -1), "i": (4, 1), "k": (4, -1), "j": (5, 1), "l": (5, -1),
+    "up": (0, 1), "down": (0, -1), "left": (1, 1), "right": (1, -1),
+}  # fmt: skip
+"""Axis and sign by key: to the front, left and up, then about these axes."""
+MEANINGS: dict[str, Button] = {
+    "space": "gripper", "enter": "start", "y": "success", "n": "failure", "backspace": "discard", "b": "reset",
+    "p": "takeover", "escape": "stop",
+}  # fmt: skip
+FASTER, SLOWER = ("=", "+"), "-"
+STEP = 1.5
+"""Factor of one press of `FASTER` or `SLOWER`."""
+SPEED, SLOWEST, FASTEST = 0.1, 0.01, 0.25
+"""Velocity at first, and its bounds [m/s]."""
+TURN = 5.0
+"""Rotational velocity per velocity [rad/m]."""
+INSTRUCTIONS = (
+    "w s, a d, r f move; o u, i k, j l turn; space: gripper; - =: speed; enter: take begins or ends; y n: success, "
+    "failure; backspace: discard; b: next episode; p: take over; escape: stop"
+)
+TOGETHER = 6
+"""Most keys of motion at once; more mean something lies on the keyboard."""
+
+
+class Keys(Protocol):
+    """Keys of a keyboard, wherever they are."""
+
+    @property
+    def held(self) -> set[str]:
+        """Names of the keys that are held."""
+        ...
+
+    pressed: list[str]
+    """Keys pressed and not yet taken, oldest first."""
+
+    @property
+    def damaged(self) -> int:
+        """Number of messages that could not be used."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Until when the keys are known [s, `time.monotonic()`]."""
+        ...
+
+    def open(self) -> None:
+        """Begin to listen; faults as in `InputDevice.open`."""
+        ...
+
+    def wait(self, seconds: float) -> None:
+        """Take in what is pressed and released within a time [s]; return at the first event."""
+        ...
+
+    def close(self) -> None:
+        """Give the keyboard back."""
+        ...
+
+
+class Keyboard(InputDevice):
+    """Keys command the velocity of one hand as long as they are held; `space` opens and closes the gripper."""
+
+    valid_for = 0.15
+
+    def __init__(self, address: str | None = None, *, keys: Keys | None = None) -> None:
+        """Remember which keyboard.
+
+        Args:
+            address: Path of a keyboard that is for the robot alone, such as `/dev/input/event5`; None for the
+                terminal's.
+            keys: Another keyboard, in place of the address.
+
+        Raises:
+            InvalidSetup: The address is no path.
+        """
+        if address is not None and not address.startswith("/"):
+            raise InvalidSetup(f"The keyboard's address is {address!r}; valid is none, or a path of /dev/input/.")
+        self._address, self._given = address, keys
+        self._opened = Opened[Keys]("keyboard")
+        self._last = 0.0
+        self.speed = SPEED
+        """Velocity while a key is held [m/s]."""
+
+    @property
+    def instructions(self) -> str:
+        """The keys."""
+        return INSTRUCTIONS
+
+    def open(self) -> None:
+        """Open it; faults as in `InputDevice.open`."""
+        keys = self._given
+        if keys is None:
+            keys = Terminal(MEANINGS) if self._address is None else InputEvents(self._address, "keyboard")
+        keys.open()
+        self.speed = SPEED
+        self._opened.put(keys)
+
+    def read(self) -> Reading | None:
+        """Return what is held, at each change and about every 0.03 s; None while the terminal does not answer."""
+        with self._opened as keys:
+            keys.wait(PERIOD)
+            if keys.time <= self._last:
+                return None  # the terminal has not answered
+            self._last = keys.time
+            pressed, keys.pressed = keys.pressed, []
+            for key in pressed:
+                step = STEP if key in FASTER else 1 / STEP if key == SLOWER else 1.0
+                self.speed = min(max(self.speed * step, SLOWEST), FASTEST)
+            held = keys.held.union(pressed)  # a short press is in one reading at least
+            moving = [MOTIONS[key] for key in held if key in MOTIONS]
+            twist = np.zeros(6)
+            if len(moving) <= TOGETHER:
+                for axis, sign in moving:
+                    twist[axis] += sign * self.speed * (1.0 if axis < 3 else TURN)
+            buttons: set[Button] = {MEANINGS[key] for key in held if key in MEANINGS}
+            if twist.any():
+                buttons.add("clutch")
+            hand = HandReading(twist=twist, buttons=frozenset(buttons))
+            return Reading(time=keys.time, hands={"right": hand}, counts={"damaged": keys.damaged})
+
+    def close(self) -> None:
+        """Give the keyboard back."""
+        self._opened.close()

@@ -1,0 +1,278 @@
+"""The operator: a person who leads robots with a device, as an agent.
+
+A thread reads the device; `act` takes its newest reading and never waits. Whatever the device does or stops doing, the
+robots brake and stay from the first action after `valid_for` on. Whatever the loop does or stops doing, the deadlines
+of the devices' commands hold real robots.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from rcs.agents.agent import Agent, Event
+from rcs.agents.guide import Guide
+from rcs.devices import lookup
+from rcs.envs.env import Env
+from rcs.envs.observer import Note
+from rcs.envs.spaces import GRIPPER, Action, Observation
+from rcs.errors import InvalidSetup, UnknownName
+from rcs.teleop.device import Button, InputDevice
+from rcs.teleop.feed import Feed, News
+from rcs.teleop.hand import Hand, State
+from rcs.teleop.options import LeadOptions
+
+HELD_UP = 0.3
+"""Time between two actions after which hands are held [s], at least three periods: real arms have stopped by then, and
+the hands are elsewhere."""
+
+STATES: tuple[State, ...] = ("released", "engaged", "held")
+
+REQUESTS: Mapping[Button, Event] = {
+    "start": "start", "success": "success", "failure": "failure", "discard": "discard", "stop": "stop",
+    "reset": "reset", "takeover": "takeover",
+}  # fmt: skip
+"""Events of buttons, of any hand."""
+
+
+class Operator(Agent):
+    """Leads the robots of an environment as the hands of a person move."""
+
+    def __init__(
+        self,
+        env: Env,
+        device: InputDevice,
+        *,
+        options: LeadOptions | None = None,
+        robots: Mapping[str, str] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        has_thread: bool = True,
+    ) -> None:
+        """Prepare; nothing is connected and nothing moves.
+
+        Args:
+            env: The environment.
+            device: The device; the operator opens it in `open`, or at the first `reset`, and closes it.
+            options: Scale, direction, smoothing and speeds; None for the usual ones.
+            robots: The robot that each hand leads, by the name of the hand; None for hands and robots of the same name,
+                or for the only robot and the right hand. Robots that no hand leads stay where they are.
+            clock: Returns the time of readings [s].
+            has_thread: Whether a thread reads the device; see `Feed`.
+
+        Raises:
+            InvalidSetup: Steps are synchronous, hands do not fit the robots, or a layer has given a robot actions that
+                only a policy can make.
+            UnknownName: There is no robot, or no hand, of this name.
+        """
+        if env.setup.stepping == "sync":
+            raise InvalidSetup("A person leads a robot step by step; use stepping='realtime', not 'sync'.")
+        options = options or LeadOptions()
+        self.device = device
+        """The device."""
+        self.feed = Feed(device, clock=clock, has_thread=has_thread)
+        """The readings of the device."""
+        self.news = News()
+        """The newest reading, at the last action."""
+        self._clock = clock
+        self._events: list[Event] = []
+        self._led = _robots_of(env, device, robots)
+        self._hands: dict[str, Hand] = {}
+        self._others: dict[str, Guide] = {}
+        self._guides: dict[str, Guide] = {}
+        for name, robot in env.robots.items():
+            guide = Guide(env, robot, speed=options.speed, turn_speed=options.turn_speed)
+            self._guides[name] = guide
+            hand = next((hand for hand, own in self._led.items() if own == name), None)
+            if hand is None:
+                self._others[name] = guide
+            else:
+                self._hands[hand] = Hand(guide, options, period=1.0 / env.frequency, has_clutch=device.has_clutch)
+        self._latency = np.nan
+        self._polled: float | None = None
+        self._held_up = max(HELD_UP, 3.0 / env.frequency)
+
+    @property
+    def states(self) -> dict[str, State]:
+        """The state of each hand."""
+        return {name: hand.state for name, hand in self._hands.items()}
+
+    @property
+    def problem(self) -> str:
+        """Why hands are held or do not engage, in words; empty if nothing is wrong."""
+        if self.news.reading is None and self.news.why:
+            return self.news.why
+        return "; ".join(f"{name}: {hand.why}" for name, hand in self._hands.items() if hand.why)
+
+    @property
+    def note_fields(self) -> Sequence[Note]:
+        """What `notes` has: when the hands were measured, how late the action is, and of each hand state and pose."""
+        fields = [Note("input_time", unit="s"), Note("input_latency", unit="s")]
+        for name in self._hands:
+            fields += [Note(f"{name}_state", words=STATES), Note(f"{name}_pose", size=7, unit="m, xyzw")]
+        return fields
+
+    def open(self) -> None:
+        """Connect the device, and begin to read it.
+
+        Raises:
+            DeviceFault: The device is not there, or may not be opened.
+            InvalidSetup: Its address makes no sense.
+            MissingDependency: A package is not installed.
+        """
+        self.feed.open()
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Stay where the robots are; the clutch has to be pressed anew."""
+        self.open()
+        self.take_over(observation, {})
+
+    def take_over(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Begin from where another agent has led the robots; the clutch has to be pressed anew.
+
+        Args:
+            observation: The present observation.
+            info: Info of the last step; grippers keep its target, so that nothing falls.
+        """
+        self._polled = None
+        target = info.get("target", {})
+        for name, guide in self._guides.items():
+            guide.reset(observation)
+            own = target.get(name, target)
+            if GRIPPER in own:
+                guide.opening = float(own[GRIPPER][0])
+        self.hold("press the clutch to lead")
+        for guide in self._others.values():
+            guide.brake()
+
+    def hold(self, why: str) -> None:
+        """Have all robots brake and stay, until the clutch was released and pressed.
+
+        Args:
+            why: The reason in words.
+        """
+        for hand in self._hands.values():
+            hand.hold(why)
+
+    def wait(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        """Take the person's requests while another agent acts; return no action."""
+        self._poll()
+        self.hold("another agent acts")
+        self._tell_events(self.states)
+        self.device.feedback(observation, {**info, "operator": self.states, "led": self._led})
+        return {}
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        """Return the next action, from the newest reading."""
+        before = self.states
+        now, news, reading = self._poll(), self.news, self.news.reading
+        actions: dict[str, Action] = {name: guide.act(observation, info) for name, guide in self._others.items()}
+        for name, hand in self._hands.items():
+            actions[self._led[name]] = hand.act(
+                observation,
+                info,
+                hand=None if reading is None else reading.hands.get(name),
+                pressed=news.pressed.get(name, ()),
+                broken=news.broken.get(name, "") if reading is not None else news.why,
+                time=0.0 if reading is None else reading.time,
+                now=now,
+            )
+        self._tell_events(before)
+        self.device.feedback(observation, {**info, "operator": self.states, "led": self._led})
+        return actions if len(actions) > 1 else next(iter(actions.values()))
+
+    def notes(self) -> Mapping[str, Any]:
+        """Return the notes of `note_fields`."""
+        reading = self.news.reading
+        notes: dict[str, Any] = {"input_latency": self._latency}
+        if reading is not None:
+            notes["input_time"] = reading.time
+            for name in self._hands:
+                if (one := reading.hands.get(name)) is not None and one.is_tracked and one.pose is not None:
+                    notes[f"{name}_pose"] = one.pose
+        return {**notes, **{f"{name}_state": state for name, state in self.states.items()}}
+
+    def events(self) -> Sequence[Event]:
+        """Return what the person has asked for since the last call, oldest first."""
+        events = self._events
+        self._events = []
+        return events
+
+    def close(self) -> None:
+        """End the thread and close the device. Closing twice is harmless."""
+        self.feed.close()
+
+    def _poll(self) -> float:
+        """Ask for news, and return the present time [s]."""
+        self.news = self.feed.poll()
+        now, reading = self._clock(), self.news.reading
+        self._latency = np.nan if reading is None else now - reading.time
+        before, self._polled = self._polled, now
+        if before is not None and now - before > self._held_up:
+            self.hold(f"the loop was held up for {now - before:.1f} s; press the clutch anew")
+        return now
+
+    def _tell_events(self, before: Mapping[str, State]) -> None:
+        for buttons in self.news.pressed.values():
+            requests: list[Event] = [REQUESTS[button] for button in buttons if button in REQUESTS]
+            self._events += requests
+        for name, state in self.states.items():
+            if state != before[name] and "engaged" in (state, before[name]):
+                self._events.append("engage" if state == "engaged" else "release")
+
+
+def operator_for(
+    env: Env, given: Any, *, options: LeadOptions | None = None, robots: Mapping[str, str] | None = None
+) -> Operator:
+    """Return the operator at a device.
+
+    Args:
+        env: The environment.
+        given: A device; or the name of an entry point of `rcs.operators`, or `module:Class`, with an address after
+            another colon, if there is a choice.
+        options: As of `Operator`.
+        robots: As of `Operator`.
+
+    Raises:
+        UnknownName: There is no such device.
+        InvalidSetup: Its address makes no sense, or it does not fit the robots.
+    """
+    return Operator(env, device_of(given), options=options, robots=robots)
+
+
+def device_of(given: Any) -> InputDevice:
+    """Return the device of a name with an address, as `operator_for` takes it; nothing is connected."""
+    if isinstance(given, InputDevice):
+        return given
+    name, _, address = str(given).partition(":")
+    if address and name not in lookup.names("operator"):
+        own, _, address = address.partition(":")
+        name = f"{name}:{own}"
+    made = lookup.find("operator", name)(address or None)
+    if not isinstance(made, InputDevice):
+        raise InvalidSetup(f"The operator {name!r} makes {made!r}; valid is an InputDevice.")
+    return made
+
+
+def _robots_of(env: Env, device: InputDevice, given: Mapping[str, str] | None) -> dict[str, str]:
+    """Return the robot that each hand leads, by hand."""
+    if given is not None:
+        for hand, robot in given.items():
+            if hand not in device.hands:
+                raise UnknownName("hand of the device", hand, device.hands)
+            if robot not in env.robots:
+                raise UnknownName("robot", robot, env.robots)
+        if len(set(given.values())) < len(given) or not given:
+            raise InvalidSetup(f"The hands lead {dict(given)}; each leads a robot of its own, at least one.")
+        return dict(given)
+    if len(env.robots) == 1:
+        return {"right" if "right" in device.hands else device.hands[0]: next(iter(env.robots))}
+    same = {hand: hand for hand in device.hands if hand in env.robots}
+    if not same:
+        raise InvalidSetup(
+            f"The device has the hands {', '.join(device.hands)} and the robots are {', '.join(env.robots)}; name the "
+            "robot that each hand leads, such as robots={'right': '" + next(iter(env.robots)) + "'}."
+        )
+    return same

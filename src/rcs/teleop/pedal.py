@@ -1,0 +1,116 @@
+"""Foot pedals, which leave the hands free, and the buttons of a pedal or a keyboard beside another device."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from rcs.envs.spaces import Observation
+from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Reading
+from rcs.teleop.device_file import one_of
+from rcs.teleop.feed import Feed
+from rcs.teleop.input_events import InputEvents, find
+from rcs.teleop.opened import Opened
+
+PEDALS = frozenset({("0c45", "7403"), ("0c45", "7404"), ("413d", "2107"), ("1a86", "e026"), ("3553", "b001")})
+"""Vendors and products of PCsensor's foot switches, which most are (the list of the program `footswitch`)."""
+MEANINGS: dict[str, Button] = {"b": "gripper", "c": "start"}
+"""Meanings of the keys with which pedals with three switches are sold; any other key is the clutch."""
+
+
+class Pedal(InputDevice):
+    """One to three pedals: clutch, gripper, and beginning or end of a take."""
+
+    valid_for = 0.1
+
+    def __init__(self, address: str | None = None) -> None:
+        """Remember where they are.
+
+        Args:
+            address: Path such as `/dev/input/event5`; None for the only one of a known kind.
+        """
+        self._address = address
+        self._opened = Opened[InputEvents]("foot pedal")
+
+    def open(self) -> None:
+        """Open the device and keep its keys from all other programs; faults as in `InputDevice.open`."""
+        missing = "Plug it in, or give the path of another kind: ls -l /dev/input/by-id"
+        keys = InputEvents(self._address or one_of("foot pedal", find(PEDALS), missing), "foot pedal")
+        keys.open()
+        self._opened.put(keys)
+
+    def read(self) -> Reading | None:
+        """Return what is held, at each change and at least every 0.05 s."""
+        with self._opened as keys:
+            keys.wait(POLL / 2)
+            held = keys.held.union(keys.pressed)
+            keys.pressed = []
+            buttons: frozenset[Button] = frozenset(MEANINGS.get(key, "clutch") for key in held)
+            return Reading(
+                time=keys.time, hands={"right": HandReading(buttons=buttons)}, counts={"damaged": keys.damaged}
+            )
+
+    def close(self) -> None:
+        """Give the device back."""
+        self._opened.close()
+
+
+class WithButtons(InputDevice):
+    """A device that leads, with the buttons of a second one beside it, such as a pedal, or a keyboard to judge takes.
+
+    The buttons of the second count for all hands. If it is silent, they are released.
+    """
+
+    def __init__(self, device: InputDevice, buttons: InputDevice, *, clutch: bool | None = None) -> None:
+        """Take both; nothing is connected.
+
+        Args:
+            device: The device that leads.
+            buttons: The device whose buttons count, and nothing else.
+            clutch: Whether the clutch is that of the second device alone; None if that is a pedal. The clutch of a
+                keyboard is any key of motion.
+        """
+        self._device, self._second = device, Feed(buttons)
+        self._clutch = isinstance(buttons, Pedal) if clutch is None else clutch
+        self.valid_for, self.hands, self.has_clutch = device.valid_for, device.hands, self._clutch or device.has_clutch
+
+    @property
+    def instructions(self) -> str:
+        """Those of both."""
+        return "\n".join(own for own in (self._device.instructions, self._second.device.instructions) if own)
+
+    def open(self) -> None:
+        """Open both; faults as in `InputDevice.open`."""
+        self._second.open()
+        try:
+            self._device.open()
+        except BaseException:
+            self._second.close()
+            raise
+
+    def read(self) -> Reading | None:
+        """Return the next reading of the first device, with the buttons of the second."""
+        reading = self._device.read()
+        if reading is None:
+            return None
+        news = self._second.poll()
+        own: set[Button] = {button for pressed in news.pressed.values() for button in pressed}  # short presses
+        for hand in () if news.reading is None else news.reading.hands.values():
+            own |= hand.buttons
+        other: set[Button] = {"clutch"} if self._clutch else set()
+        own -= {"clutch"} - other
+        hands = {name: replace(hand, buttons=hand.buttons - other | own) for name, hand in reading.hands.items()}
+        return replace(reading, hands=hands)
+
+    def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Show both what the robot does."""
+        self._device.feedback(observation, info)
+        self._second.device.feedback(observation, info)
+
+    def close(self) -> None:
+        """Close both. Closing twice is harmless."""
+        try:
+            self._device.close()
+        finally:
+            self._second.close()

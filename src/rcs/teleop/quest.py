@@ -1,0 +1,164 @@
+"""A Quest 3 or another headset with a browser: both controllers, over a page that this program serves."""
+
+from __future__ import annotations
+
+import json
+import queue
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import simplejpeg
+
+from rcs.envs.spaces import FRAMES, RGB, Observation
+from rcs.errors import DeviceFault, InvalidSetup
+from rcs.hardware.device_clock import DeviceClock
+from rcs.teleop import credentials
+from rcs.teleop.device import POLL, InputDevice, Reading
+from rcs.teleop.headset_messages import FrameMessage, hand_of
+from rcs.teleop.headset_server import HeadsetServer
+from rcs.teleop.opened import Opened
+
+PORT = 8443
+PICTURES = 15.0
+"""Most pictures of each camera that a headset gets per second."""
+PATIENCE = 2.0
+"""Longest time that `close` waits for a picture that is being sent [s]."""
+QUALITY = 80
+"""Quality of their JPEG."""
+
+
+class Quest(InputDevice):
+    """Two controllers; each hand's squeeze is its clutch, its trigger closes its gripper."""
+
+    valid_for = 0.1
+    hands = ("left", "right")
+
+    def __init__(self, address: str | None = None) -> None:
+        """Remember where to listen.
+
+        Args:
+            address: `HOST:PORT`, such as `192.168.0.2:8443`; None for port 8443 of all addresses of this machine.
+
+        Raises:
+            InvalidSetup: The address is neither.
+        """
+        self._host, self._port = address_of(address, PORT)
+        self._opened = Opened[HeadsetServer]("page for headsets")
+        self._clock, self._session = DeviceClock(), 0
+        self._shown: Feedback | None = None
+        self.url = ""
+        """Address to open in the headset, with the code; empty while closed."""
+
+    @property
+    def instructions(self) -> str:
+        """Where to go with the headset."""
+        return self.url and f"Open {self.url} in the headset's browser, and accept its certificate."
+
+    def open(self) -> None:
+        """Serve the page, with a certificate that is made at first use; faults as in `InputDevice.open`."""
+        code = credentials.code()
+        server = HeadsetServer(self._host, self._port, code, credentials.tls())
+        host = credentials.own_addresses()[0] if self._host == "0.0.0.0" else self._host
+        self.url = f"https://{host}:{server.port}/#{code}"
+        self._opened.put(server)
+        self._shown = Feedback(server)
+
+    def read(self) -> Reading | None:
+        """Return the next frame of the headset; None while there is none."""
+        with self._opened as server:
+            try:
+                arrived, frame = server.frames.get(timeout=POLL)
+            except queue.Empty:
+                return None
+            if server.sessions != self._session:
+                self._clock, self._session = DeviceClock(), server.sessions
+            try:
+                at = self._clock.host_time(1e-3 * frame.time, arrived)
+            except DeviceFault:  # the headset was asleep
+                self._clock = DeviceClock()
+                server.counts["clock jumped"] += 1
+                return None
+            return reading_of(frame, at - 0.5e-3 * frame.round_trip, server.counts)
+
+    def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Show cameras and the state of the hands in the headset."""
+        if self._shown is not None:
+            self._shown.offer(observation, info)
+
+    def close(self) -> None:
+        """End the page and its connections."""
+        shown, self._shown, self.url = self._shown, None, ""
+        if shown is not None:
+            shown.must_end()
+        self._opened.close()
+        if shown is not None:
+            shown.close()  # once nothing can be sent any more
+
+
+class Feedback:
+    """Sends pictures and states from a thread of its own: a slow network delays nobody else."""
+
+    def __init__(self, server: HeadsetServer) -> None:
+        """Begin.
+
+        Args:
+            server: Sends them.
+        """
+        self._server = server
+        self._newest: tuple[Observation, Mapping[str, Any]] | None = None
+        self._has_news, self._must_end = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="rcs headset pictures", daemon=True)
+        self._thread.start()
+
+    def offer(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Have the newest pictures and states sent."""
+        self._newest = observation, info
+        self._has_news.set()
+
+    def must_end(self) -> None:
+        """Send no more."""
+        self._must_end.set()
+        self._has_news.set()
+
+    def close(self) -> None:
+        """Wait for the thread, which may still be sending."""
+        self.must_end()
+        self._thread.join(PATIENCE)
+
+    def _run(self) -> None:
+        while True:
+            self._has_news.wait()
+            self._has_news.clear()
+            if self._must_end.is_set() or self._newest is None:
+                return
+            observation, info = self._newest
+            self._server.send(json.dumps({"states": dict(info.get("operator", {}))}))
+            for name, frame in observation.get(FRAMES, {}).items():
+                if RGB in frame:
+                    rgb = np.ascontiguousarray(frame[RGB])
+                    label = name.encode()[:255]
+                    picture = simplejpeg.encode_jpeg(rgb, quality=QUALITY, colorspace="RGB")
+                    self._server.send(bytes([len(label)]) + label + picture)
+            self._must_end.wait(1 / PICTURES)
+
+
+def reading_of(frame: FrameMessage, at: float, counts: Mapping[str, int]) -> Reading:
+    """Return the reading of a frame that was made at a time [s]."""
+    hands = {name: hand_of(name, frame.hands.get(name)) for name in Quest.hands}
+    return Reading(time=at, hands=hands, device_time=1e-3 * frame.time, counts=dict(counts))
+
+
+def address_of(given: str | None, port: int) -> tuple[str, int]:
+    """Return host and port of an address `HOST:PORT`, `HOST` or `PORT`; None for all addresses of this machine.
+
+    Raises:
+        InvalidSetup: It is none of these.
+    """
+    host, _, last = (given or "").rpartition(":")
+    if given and not last.isdigit():
+        host, last = (last, "") if not host else ("", "?")
+    if last and not (last.isdigit() and int(last) < 1 << 16):
+        raise InvalidSetup(f"The address is {given!r}; valid is HOST:PORT, such as 0.0.0.0:{port}, or one of both.")
+    return host or "0.0.0.0", int(last) if last else port

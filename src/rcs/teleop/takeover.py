@@ -1,0 +1,96 @@
+"""A policy that a person takes the robots from, and gives them back to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+from rcs.agents.agent import Agent, Event
+from rcs.agents.pace import Pace
+from rcs.envs.env import Env
+from rcs.envs.observer import Note
+from rcs.envs.spaces import Action, Observation
+from rcs.envs.step.stack import for_all
+from rcs.teleop.operator import Operator
+
+Actor = Literal["policy", "person"]
+ACTORS: tuple[Actor, ...] = ("policy", "person")
+
+
+class Takeover(Agent):
+    """Lets a policy act until a person takes over, by the event `takeover`, and again after the next one.
+
+    The environment steps at the person's rate and the policy decides at its own. Neither way do the robots jump: a
+    person's robots brake and stay until the clutch is pressed, and the policy begins anew with what it then observes.
+    The note `actor` says who acted in each row.
+    """
+
+    def __init__(self, env: Env, policy: Agent, operator: Operator, *, begins: Actor = "policy") -> None:
+        """Prepare.
+
+        Args:
+            env: The environment.
+            policy: Any agent.
+            operator: The person.
+            begins: Who acts at the beginning of an episode.
+
+        Raises:
+            InvalidSetup: The policy's rate does not divide the environment's, or its repeated actions would add up.
+        """
+        self.actor: Actor = begins
+        """Who acts."""
+        self.operator = operator
+        """The person."""
+        self._pace = Pace(env, policy)
+        self._begins: Actor = begins
+        self._events: list[Event] = []
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Begin an episode with whoever begins."""
+        self.actor = self._begins
+        self.operator.reset(observation, info)
+        self._pace.reset(observation, info)
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        """Return the action of whoever acts, after the person's requests."""
+        is_person = self.actor == "person"
+        action = self.operator.act(observation, info) if is_person else self.operator.wait(observation, info)
+        events = self.operator.events()
+        self._events += events
+        if events.count("takeover") % 2:
+            self.actor = "policy" if is_person else "person"
+            if is_person:
+                self._pace.reset(observation, info)
+            else:
+                self.operator.take_over(observation, info)
+                action = self.operator.act(observation, info)
+        return self._pace.act(observation, info) if self.actor == "policy" else action
+
+    @property
+    def note_fields(self) -> Sequence[Note]:
+        """Who acted, and the notes of both."""
+        return [Note("actor", words=ACTORS), *self._pace.agent.note_fields, *self.operator.note_fields]
+
+    def notes(self) -> Mapping[str, Any]:
+        """Return who acted, and the notes of both."""
+        own = self._pace.notes() if self.actor == "policy" else {}
+        return {"actor": self.actor, **own, **self.operator.notes()}
+
+    def events(self) -> Sequence[Event]:
+        """Return the person's requests since the last call, oldest first."""
+        events, self._events = self._events, []
+        return [*events, *self._pace.agent.events()]
+
+    @property
+    def failure(self) -> str | None:
+        """Why the policy gave up; None if it has not."""
+        return self._pace.agent.failure
+
+    @property
+    def failure_message(self) -> str | None:
+        """The policy's message about a problem."""
+        return self._pace.agent.failure_message
+
+    def close(self) -> None:
+        """Close both, also when one of them fails to. Closing twice is harmless."""
+        for_all([self.operator.close, self._pace.agent.close])

@@ -1,0 +1,208 @@
+"""`rcs doctor --site` finds what is wrong with a lab, and moves nothing unless it is told to."""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from rcs.cli.main import main
+from rcs.devices import CameraMode, Frame, GripperState
+from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper
+from rcs.errors import MissingDependency
+from rcs.hardware import FakeDriver
+from rcs.hardware.machine import examine_file, examine_machine, examine_network
+from rcs.robots.camera import CameraDescription
+from rcs.robots.description import ArmDescription, GripperDescription
+from rcs.rollout import examine as module
+
+DRIVER = f"{__name__}:LabDriver"
+
+
+class StillArm(FakeArm):
+    def _command_joints(self, joints: Any) -> None:
+        LabDriver.commands += 1
+        super()._command_joints(joints)
+
+
+class LabDriver(FakeDriver):
+    """Fakes with one thing wrong, and a count of commands."""
+
+    wrong: ClassVar[str] = ""
+    commands: ClassVar[int] = 0
+
+    def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> FakeArm:
+        plain = super().arm(address, about, options)
+        arm = StillArm(plain.limits, start=np.array(about.home), name="arm")
+        if self.wrong == "beyond":
+            arm.body.values = arm.body.target = np.array(plain.limits.joint_upper) + 0.1
+        if self.wrong == "reflex":
+            arm.open()
+            arm.trip("reflex: collision")
+        return arm
+
+    def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FakeGripper:
+        class Gripper(FakeGripper):
+            def _state(self) -> GripperState:
+                if LabDriver.wrong == "volts":
+                    raise OSError("the voltage is low")
+                return super()._state()
+
+        return Gripper()
+
+    def camera(
+        self, address: str, about: CameraDescription, mode: CameraMode, options: Mapping[str, Any]
+    ) -> FakeCamera:
+        class Camera(FakeCamera):
+            def _open(self) -> None:
+                if LabDriver.wrong == "library":
+                    raise MissingDependency("This needs zed: pip install 'robot-control-stack[zed]'")
+                if LabDriver.wrong == "permission":
+                    raise PermissionError(13, "Permission denied")
+
+            def _read(self) -> Frame:
+                if LabDriver.wrong == "hangs":
+                    time.sleep(3.0)
+                frame = super()._read()
+                if LabDriver.wrong == "slow":
+                    number = frame.number // 2
+                    return Frame(frame.rgb, number=number, device_time=2 * number / mode.fps)
+                if LabDriver.wrong == "frozen":
+                    return Frame(frame.rgb, number=1, device_time=1.0)
+                if LabDriver.wrong == "black":
+                    black = np.zeros_like(frame.rgb)
+                    return Frame(black, number=frame.number, device_time=frame.device_time)
+                return frame
+
+        return Camera(mode)
+
+
+class Terminal(io.StringIO):
+    """A person at a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(LabDriver, "wrong", "")
+    monkeypatch.setattr(LabDriver, "commands", 0)
+    monkeypatch.setattr(module, "LIMIT", 0.5)
+    entry = {"driver": DRIVER, "address": "a"}
+    path = tmp_path / "site.json"
+    kinds = {"arms": {"fr3": entry}, "grippers": {"fr3": entry}, "cameras": {"side": {**entry, "address": "b"}}}
+    path.write_text(json.dumps(kinds))
+    return path
+
+
+def ended(words: list[str]) -> int:
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    return int(end.value.code or 0)
+
+
+def examined(site: Path, capsys: pytest.CaptureFixture[str], *more: str) -> tuple[int, list[dict[str, str]]]:
+    code = ended(["doctor", "--site", str(site), "--seconds", "0.7", "--json", *more])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_a_sound_lab_has_no_fault_and_nothing_moves(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, found = examined(site, capsys, "--page", str(site.with_name("page.html")))
+    assert code == 0
+    assert {one["part"] for one in found if one["status"] == "ok"} >= {"fr3", "fr3/gripper", "side"}
+    assert not [one for one in found if one["status"] == "fault"]
+    assert LabDriver.commands == 0
+    assert "fr3/gripper" in site.with_name("page.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "part", "words", "remedy"),
+    [
+        ("reflex", "fr3", "reflex", "free the arm"),
+        ("volts", "fr3/gripper", "voltage", "power supply"),
+        ("library", "side", "zed", "pip install"),
+        ("permission", "side", "Permission denied", "usermod"),
+        ("slow", "side", "of 30 frames/s", "light"),
+        ("frozen", "side", "nothing new", "cable"),
+        ("black", "side", "black", "cover"),
+        ("hangs", "side", "has not returned", "unplug"),
+    ],
+)
+def test_what_is_wrong_is_found_with_its_remedy_and_nothing_else(
+    site: Path, capsys: pytest.CaptureFixture[str], wrong: str, part: str, words: str, remedy: str
+) -> None:
+    LabDriver.wrong = wrong
+    code, found = examined(site, capsys)
+    assert code == 1
+    faults = [one for one in found if one["status"] == "fault"]
+    assert [one["part"] for one in faults] == [part]
+    assert words in faults[0]["message"]
+    assert remedy in faults[0]["remedy"]
+    assert LabDriver.commands == 0
+
+
+def test_joints_out_of_their_range_are_a_warning(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    LabDriver.wrong = "beyond"
+    code, found = examined(site, capsys)
+    told = next(one for one in found if one["part"] == "fr3")
+    assert (code, told["status"]) == (0, "warning")
+    assert "out of their range" in told["message"]
+
+
+def test_a_site_that_names_what_is_not_there_is_a_fault(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = json.loads(site.read_text())
+    for change, words in (
+        ({"cameras": {"ceiling": content["cameras"]["side"]}}, "wrist"),
+        ({"cameras": {"side": {"driver": "webcams", "address": "c"}}}, "webcam"),
+        ({"cameras": {"side": {"driver": "fake", "address": "c", "options": {"zoom": 1}}}}, "zoom"),
+    ):
+        site.write_text(json.dumps({**content, **change}))
+        code, found = examined(site, capsys)
+        assert code == 1
+        assert words in str([one for one in found if one["status"] == "fault"])
+
+
+def test_it_moves_after_a_question_only(
+    site: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert ended(["doctor", "--site", str(site), "--seconds", "0.3", "--move"]) != 0, "nobody can be asked"
+    assert LabDriver.commands == 0
+    capsys.readouterr()
+    monkeypatch.setattr("rcs.rollout.exercise.RESTING", 0.1)
+    code, found = examined(site, capsys, "--move", "--yes")
+    assert code == 0
+    assert any("9 clauses of the contract kept; moved by 0.05 rad at 5 %" in one["message"] for one in found)
+    assert LabDriver.commands > 0
+    LabDriver.commands = 0
+    monkeypatch.setattr("sys.stdin", Terminal("n\n"))
+    code, found = examined(site, capsys, "--move")
+    assert LabDriver.commands == 0
+    assert any(one["message"].startswith("nothing moved, because nobody agreed to this: Move every") for one in found)
+
+
+def test_the_machine_is_described(tmp_path: Path) -> None:
+    cpu = tmp_path / "devices/system/cpu/cpu0/cpufreq"
+    cpu.mkdir(parents=True)
+    (cpu / "scaling_governor").write_text("powersave\n")
+    found = examine_machine(tmp_path)
+    assert any("powersave" in one.message and "cpupower" in one.remedy for one in found)
+    (cpu / "scaling_governor").write_text("performance\n")
+    (tmp_path / "kernel").mkdir()
+    (tmp_path / "kernel/realtime").write_text("1\n")
+    assert not any("governor" in one.message or "PREEMPT_RT" in one.message for one in examine_machine(tmp_path))
+
+
+def test_files_and_addresses_that_are_not_there_are_faults(tmp_path: Path) -> None:
+    assert examine_file("so101", str(tmp_path / "tty"))[0].status == "fault"
+    (tmp_path / "tty").touch()
+    assert examine_file("so101", str(tmp_path / "tty")) == []
+    assert examine_network("/dev/ttyACM0", "so101") == []
+    (here,) = examine_network("127.0.0.1", "ur", packets=50)
+    assert "50 packets at 500 Hz" in here.message or "may not" in here.message

@@ -1,0 +1,194 @@
+"""`rcs sweep`: every checkpoint is evaluated once, the best again on other seeds, and servers end with it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+from rcs_data.ledger import Ledger
+
+from rcs.cli.main import main
+from rcs.cli.sweep import checkpoints_in, name_of
+from rcs.errors import RcsError
+from rcs.rollout.gpus import own_gpu
+from rcs.rollout.serving import serving
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SERVER = """
+    import os, subprocess, sys
+    from pathlib import Path
+    from vlagents import Server
+    sys.path.insert(0, {examples!r})
+    import importlib
+    from dataclasses import replace
+    example = importlib.import_module("16_policy")
+    checkpoint, port = Path(sys.argv[1]), int(sys.argv[2])
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    Path({out!r}, "pids").open("a").write(f"{{os.getpid()}} {{child.pid}} ")
+    policy = example.policy()
+    told = replace(example.METADATA, checkpoint=str(checkpoint), checkpoint_hash=(checkpoint / "weights").read_text())
+    policy._metadata = told
+    server = Server(policy, port=port).start()
+    print("serving", checkpoint, flush=True)
+    child.wait()
+"""
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    with pytest.raises(SystemExit) as stopped:
+        main(["sweep", *arguments])
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), re.sub(r"\s+", " ", captured.out + captured.err)
+
+
+def is_alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> str:
+    """A command that serves a checkpoint, whose server has a child."""
+    program = tmp_path / "serve.py"
+    program.write_text(textwrap.dedent(SERVER.format(examples=str(EXAMPLES), out=str(tmp_path))))
+    return f"{sys.executable} {program} {{checkpoint}} {{port}}"
+
+
+@pytest.fixture
+def trained(tmp_path: Path) -> Path:
+    """A run with the folders of LeRobot: two whole checkpoints, and one that is being written."""
+    folder = tmp_path / "act" / "run" / "checkpoints"
+    for steps in (1000, 2000, 3000):
+        (folder / f"{steps:06d}" / "pretrained_model").mkdir(parents=True)
+        (folder / f"{steps:06d}" / "pretrained_model" / "weights").write_text(f"{steps:x}")
+    (folder / "last").symlink_to("002000")
+    return tmp_path / "act"
+
+
+def test_whole_checkpoints_are_found_and_named_by_their_run(trained: Path) -> None:
+    found = checkpoints_in(trained)
+    assert [steps for steps, _ in found] == [1000, 2000]
+    assert [name_of(path) for _, path in found] == ["act", "act"]
+    assert checkpoints_in(trained / "run") == found
+
+
+@pytest.mark.slow
+def test_served_checkpoints_are_evaluated_the_best_again_and_no_server_is_left(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, trained: Path, command: str
+) -> None:
+    out = tmp_path / "out"
+    words = (str(trained), "--serve", command, "--episodes", "2", "--max-episode-steps", "20", "--out", str(out))
+    code, told = call(capsys, *words)
+    assert code == 0, told
+    assert "Best of 2, by the episodes above: 2000 steps" in told
+    rows = list(Ledger(out).rows.values())
+    assert [(row.agent, row.weights, row.trained) for row in rows] == [
+        (name, weights, steps)
+        for name, weights, steps in (
+            ("act@1000", "3e8", 1000), ("act@2000", "7d0", 2000), ("act@2000 again", "7d0", 2000),
+        )
+        for _ in range(2)
+    ]  # fmt: skip
+    assert {row.seed for row in rows[:2]} == {row.seed for row in rows[2:4]}
+    assert {row.seed for row in rows[:2]}.isdisjoint(row.seed for row in rows[4:])
+    assert "over steps of training" in (out / "report.html").read_text()
+    processes = [int(word) for word in (tmp_path / "pids").read_text().split()]
+    assert len(processes) == 6
+    assert not any(map(is_alive, processes))
+    before = (out / "ledger.jsonl").read_bytes()
+    code, told = call(capsys, *words)
+    assert code == 0, told
+    assert (out / "ledger.jsonl").read_bytes() == before
+
+
+def test_what_is_wrong_with_a_run_or_a_command_is_said(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, trained: Path, command: str
+) -> None:
+    out = ("--out", str(tmp_path / "out"))
+    for words, sentence in [
+        ((str(tmp_path / "none"),), "There is no checkpoint in"),
+        ((str(trained),), "is a checkpoint of LeRobot; say by --serve"),
+        ((str(trained), "--serve", "python -m mine {port}"), "has no {checkpoint}"),
+        ((str(trained), "--serve", "/nothing/here {checkpoint} {port}"), "Could not start '/nothing/here'"),
+        ((str(trained), "--serve", f"{sys.executable} -c 1/0 {{checkpoint}} {{port}}"), "ZeroDivisionError"),
+    ]:
+        code, told = call(capsys, *words, *out)
+        assert code == 1
+        assert sentence in told
+        assert "Traceback" not in told or "ZeroDivisionError" in told
+    assert not (tmp_path / "out" / "ledger.jsonl").exists()
+
+
+def test_a_server_that_never_answers_is_ended(tmp_path: Path) -> None:
+    began, silent = time.monotonic(), f"{sys.executable} -c 'import time; time.sleep(600)' {{checkpoint}} {{port}}"
+    with (
+        pytest.raises(RcsError, match="does not answer after 1 s"),
+        serving(silent, tmp_path, tmp_path / "log", patience=1.0),
+    ):
+        pass
+    assert time.monotonic() - began < 30
+
+
+@pytest.mark.extras
+def test_checkpoints_of_a_training_are_swept_and_go_on(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    run, out = tmp_path / "pick", tmp_path / "out"
+    small = (
+        "--steps", "240", "--copies", "2", "--episodes", "2", "--evaluate-every", "120", "--max-episode-steps", "6",
+        "--threads", "1", "--torch-threads", "1", "--no-video",
+    )  # fmt: skip
+    with pytest.raises(SystemExit) as stopped:
+        main(["train", "PickCuboid", "--out", str(run), *small])
+    assert not stopped.value.code
+    code, told = call(capsys, str(run), "--episodes", "3", "--follow", "--out", str(out))
+    assert code == 0, told
+    names = list(dict.fromkeys(row.agent for row in Ledger(out).rows.values()))
+    assert len(names) == len(checkpoints_in(run)) + 1
+    assert names[-1].endswith(" again")
+    assert all(name.startswith("pick@") for name in names)
+
+
+@pytest.mark.slow
+def test_a_server_ends_with_the_program_that_started_it_even_if_that_is_killed(tmp_path: Path) -> None:
+    program = (
+        "import pathlib, time; from rcs.rollout.serving import ServerProcess\n"
+        f"server = ServerProcess(['sleep', '600'], pathlib.Path({str(tmp_path / 'log')!r}))\n"
+        "print(server._process.pid, flush=True); time.sleep(600)"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as starter:
+        assert starter.stdout is not None
+        server = int(starter.stdout.readline())
+        assert is_alive(server)
+        starter.kill()
+    until = time.monotonic() + 20
+    while is_alive(server) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not is_alive(server)
+
+
+def test_servers_at_a_time_have_a_gpu_each(command: str, trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,GPU-5")
+
+    def seen() -> str:
+        process = int((trained.parent / "pids").read_text().split()[-2])
+        words = Path(f"/proc/{process}/environ").read_bytes().split(b"\0")
+        return next(word for word in words if word.startswith(b"CUDA_VISIBLE_DEVICES=")).decode().partition("=")[2]
+
+    checkpoint = checkpoints_in(trained)[0][1]
+    with serving(command, checkpoint, trained.parent / "one.log"):
+        assert seen() == "4"
+        with serving(command, checkpoint, trained.parent / "two.log"):
+            assert seen() == "GPU-5"
+            with own_gpu() as third:
+                assert third is None, "all are taken, so nobody chooses"
+    with own_gpu() as again:
+        assert again == "4", "a server that has ended gives it back"
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4")
+    with own_gpu() as only:
+        assert only is None, "there is nothing to choose from"

@@ -1,0 +1,90 @@
+"""`rcs teleop`: a person leads, takes are recorded, figures are printed, and what is wrong is said first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rcs_data import Dataset
+from rcs_data.check import check
+
+from rcs.cli.main import main
+from rcs.teleop import HandReading, InputDevice
+from tests.teleop.scripted_device import ScriptedDevice, at, held
+
+
+def person(address: str | None) -> InputDevice:
+    """A person who takes the robot over if need be, makes a take of half a second, and stops."""
+
+    def script(t: float) -> HandReading:
+        buttons = {"start": (0.5, 0.6), "success": (1.1, 1.2), "takeover": (0.1, 0.2), "stop": (1.7, 2.0)}
+        held_down = [name for name, (begin, end) in buttons.items() if begin <= t < end]
+        return held(at(0.0, 0.02 * np.sin(t), 1.0), *(["clutch"] if t > 0.4 else []), *held_down)  # type: ignore[arg-type]
+
+    device = ScriptedDevice(script, is_waiting=True)
+    device.valid_for = 2.0  # a busy machine holds threads up
+    return device
+
+
+def judge(address: str | None) -> InputDevice:
+    """Buttons alone."""
+    return ScriptedDevice(lambda t: held(None, *(("discard",) if 0.8 < t < 0.9 else ())), is_waiting=True)
+
+
+ME = f"{__name__}:person"
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["teleop", *arguments])
+    return int(ended.value.code or 0)
+
+
+def test_a_take_is_recorded_with_what_the_hand_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "takes"
+    assert run("PickCuboid", "--input", ME, "--record", str(out), "--cameras", "--instruction", "lift it") == 0
+    (episode,) = Dataset.open(out).episodes
+    assert (episode.success, episode.instruction) == (True, "lift it")
+    states = episode.info.feature("notes/right_state").words
+    assert states[int(episode.column("notes/right_state")[-1]) - 1] == "engaged"
+    assert episode.column("notes/right_pose").shape == (episode.length, 7)
+    assert 0.0 <= np.nanmedian(episode.column("notes/input_latency")) < 0.1
+    assert not [one for one in check(out).findings if one.kind == "not_finite"]
+    told = capsys.readouterr().out
+    assert "Take 000000 begins: lift it" in told
+    assert "right engaged" in told
+    assert "Hz" in told
+    assert "1 takes kept" in told
+
+
+def test_an_agent_acts_until_the_person_takes_over(tmp_path: Path) -> None:
+    out = tmp_path / "takes"
+    assert (
+        run("PickCuboid", "--input", ME, "--agent", "PickExpert", "--record", str(out), "--cameras", "--measure") == 0
+    )
+    (episode,) = Dataset.open(out).episodes
+    words = episode.info.feature("notes/actor").words
+    assert {words[int(number) - 1] for number in episode.column("notes/actor")[1:]} == {"person"}
+    assert (episode.outcome or {})["latency"]["command"]["count"] > 3
+
+
+def test_the_buttons_of_a_second_device_count(tmp_path: Path) -> None:
+    out = tmp_path / "takes"
+    assert run("Free", "--input", ME, f"{__name__}:judge", "--record", str(out), "--cameras") == 0
+    assert not list(Dataset.open(out).episodes)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["Free", "--input", "joistick"], "joistick"),
+        (["Free", "--input", ME, "--lead", "right"], "hand=robot"),
+        (["LiftBar", "--robot", "dual_fr3", "--input", ME, "--lead", "right=middle"], "middle"),
+        (["Free", "--input", ME, "--scale", "0"], "scale"),
+    ],
+)
+def test_what_is_wrong_is_said(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(*arguments) != 0
+    told = capsys.readouterr()
+    assert words in told.out + told.err

@@ -1,0 +1,199 @@
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rcs_data import Dataset
+from rcs_data.ledger import Ledger
+from vlagents import Metadata, Observation, PartSpec, Server
+from vlagents.policies.scripted import ScriptedPolicy
+
+from rcs.envs.observers.record import record_all
+from rcs.envs.setup import Setup
+from rcs.errors import InvalidAction, InvalidSetup, RcsError, SimulationError, WrongOrder
+from rcs.policy import Execution, ServedPolicy
+from rcs.rollout.episode import EpisodeResult, run_episode
+from rcs.rollout.evaluate import evaluate
+from rcs.rollout.evaluation import Evaluation, Summary
+from rcs.rollout.foreign import ForeignEnv, ForeignSimulator
+from rcs.rollout.serving import ServerProcess
+
+TINY = Path(__file__).parents[2] / "packages" / "vlagents" / "tests" / "simulators"
+METADATA = Metadata(
+    name="reacher",
+    state=(PartSpec("tquat", 7, "m, xyzw"), PartSpec("goal", 3, "m")),
+    action=(PartSpec("xyzrpy", 6, "m, rad", "delta"), PartSpec("gripper", 1, "-1 open, 1 closed")),
+    horizon=3,
+    rate=20.0,
+)
+
+
+def reach(observation: Observation, instruction: str) -> np.ndarray:
+    assert instruction == "reach the goal"
+    left = observation.state["goal"] - observation.state["tquat"][:3]
+    actions = np.zeros((3, 7))
+    for row in actions:
+        row[:3], row[6] = np.clip(left, -0.01, 0.01), 1.0
+        left = left - row[:3]
+    return actions
+
+
+@pytest.fixture(autouse=True)
+def path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(TINY))
+
+
+@pytest.fixture
+def policy() -> Iterator[ServedPolicy]:
+    with Server(ScriptedPolicy(reach, METADATA), port=0) as server:
+        yield ServedPolicy(address=str(server.address), execution=Execution(mode="open_loop"))
+
+
+def tiny(folder: Path, task: str = "near", **options: str) -> ForeignSimulator:
+    timeout = float(options.pop("timeout", 20))
+    name, log = f"tiny_simulator:Reach:{task}", folder / "simulator.log"
+    return ForeignSimulator(name=name, python=Path(sys.executable), options=options, timeout=timeout, log=log)
+
+
+def run(simulator: ForeignSimulator, policy: ServedPolicy, out: Path | None = None, episodes: int = 3) -> Summary:
+    env, summary = ForeignEnv(simulator), Summary()
+    evaluation = Evaluation(setup=env.setup, simulator=simulator, agent=policy, episodes=episodes, out=out)
+    assert len(list(evaluate(evaluation, summary, env=env))) == episodes
+    return summary
+
+
+def test_a_served_policy_succeeds_with_the_same_results_twice(tmp_path: Path, policy: ServedPolicy) -> None:
+    simulator = tiny(tmp_path)
+    first, second = run(simulator, policy), run(simulator, policy)
+    assert first.successes == 3
+    assert first.results == second.results
+    assert {result.reward for result in first.results} == {1.0}
+    assert all(3 <= result.steps <= 6 for result in first.results)
+
+
+def test_a_recording_has_the_rewards_and_the_ends_of_the_simulator(tmp_path: Path, policy: ServedPolicy) -> None:
+    results: list[EpisodeResult] = []
+    with ForeignEnv(tiny(tmp_path)) as env, record_all(env, tmp_path / "data"):
+        agent = policy(env)
+        results += [run_episode(env, agent, seed=seed) for seed in (1, 2)]
+    recorded = Dataset.open(tmp_path / "data").episodes
+    assert len(recorded) == 2
+    for episode, result in zip(recorded, results, strict=True):
+        assert np.nansum(episode.column("reward")) == result.reward == 1.0
+        assert [bool(flag) for flag in episode.column("terminated")] == [False] * result.steps + [True]
+        assert not np.any(episode.column("truncated"))
+
+
+@pytest.mark.parametrize("fault", ["die", "nan", pytest.param("hang", marks=pytest.mark.slow)])
+def test_a_simulator_that_fails_gives_an_episode_without_a_verdict_and_the_next_one_runs(
+    fault: str, tmp_path: Path, policy: ServedPolicy
+) -> None:
+    bad = Evaluation(setup=Setup("tiny:near")).seed_of(0) % (1 << 31)
+    # The simulator counts the two steps of waiting: it fails in the second step of the policy.
+    options = {"fault": fault, "bad_seed": str(bad), "at": "4", "timeout": "2" if fault == "hang" else "20"}
+    lost, after = run(tiny(tmp_path, **options), policy, tmp_path / "ledger", episodes=2).results
+    assert after.success is True
+    assert (lost.success, lost.failure, lost.steps) == (None, "simulator", 1)
+    words = {"die": "ConnectionLost", "hang": "DeadlineExceeded", "nan": "not finite"}
+    assert lost.message is not None
+    assert words[fault] in lost.message
+    rows = list(Ledger(tmp_path / "ledger").rows.values())
+    assert [(row.success, row.failure, row.judge) for row in rows] == [
+        (None, "simulator", "nobody"),
+        (True, None, "task"),
+    ]
+
+
+@pytest.fixture(scope="module")
+def setup(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Setup]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(TINY))
+        with ForeignEnv(tiny(tmp_path_factory.mktemp("tiny"))) as env:
+            yield env.setup
+
+
+def test_the_setup_has_the_mapping_and_all_that_decides_what_happens(tmp_path: Path, setup: Setup) -> None:
+    assert setup.task == "tiny:near"
+    assert setup.robot_label == "tiny"
+    assert (setup.frequency, setup.control, setup.relative) == (20.0, "xyzrpy", "last_step")
+    mapping = setup.task_options["mapping"]
+    assert mapping["images"][0]["flip"] == "rows"
+    other = tmp_path / "mapping.json"
+    other.write_text(json.dumps({**mapping, "wait": 5}))
+    with ForeignEnv(replace(tiny(tmp_path), mapping=other)) as env:
+        assert env.setup != setup
+        assert env.setup.task_options["mapping"]["wait"] == 5
+
+
+def test_a_mapping_or_a_policy_that_does_not_fit_is_refused_before_the_first_episode(
+    tmp_path: Path, setup: Setup
+) -> None:
+    mapping = setup.task_options["mapping"]
+    wrong = tmp_path / "mapping.json"
+    wrong.write_text(json.dumps({**mapping, "steps": 1000, "start": "stored", "wait_action": [1.0]}))
+    with pytest.raises(InvalidSetup, match=r"(?s)1 numbers; an action has 7.*1000 are more"):
+        ForeignEnv(replace(tiny(tmp_path), mapping=wrong))
+    for text in ("{", json.dumps({"steps": 3})):
+        wrong.write_text(text)
+        with pytest.raises(InvalidSetup, match="has no mapping"):
+            ForeignEnv(replace(tiny(tmp_path), mapping=wrong))
+    needs = replace(METADATA, state=(PartSpec("joints", 7, "rad"),), action=(PartSpec("joints", 7, "rad"),))
+    server = Server(ScriptedPolicy(reach, needs), port=0)
+    with server, ForeignEnv(tiny(tmp_path)) as env, pytest.raises(InvalidSetup) as caught:
+        ServedPolicy(address=str(server.address))(env)
+    assert all(
+        part in str(caught.value) for part in ("needs 'joints'", "gives 'joints'", "takes 'xyzrpy'", "'gripper'")
+    )
+
+
+def test_what_cannot_start_says_why(tmp_path: Path) -> None:
+    with pytest.raises(RcsError, match=r"(?s)ended with 1.*near, far"):
+        ForeignEnv(tiny(tmp_path, task="nearby"))
+    with pytest.raises(InvalidSetup, match="make sims"):
+        ForeignEnv(ForeignSimulator(name="maniskill:PickCube-v1", python=tmp_path / "python"))
+    with pytest.raises(RcsError, match="ConnectionLost"):
+        ForeignEnv(ForeignSimulator(name="vla://127.0.0.1:9"))
+
+
+def test_actions_are_checked_and_episodes_end_as_elsewhere(tmp_path: Path) -> None:
+    with ForeignEnv(tiny(tmp_path)) as env:
+        still = {"xyzrpy": np.zeros(6), "gripper": np.zeros(1, np.float32)}
+        with pytest.raises(WrongOrder):
+            env.step(still)
+        with pytest.raises(InvalidSetup, match="reset options"):
+            env.reset(0, options={"state": 1})
+        observation, info = env.reset(0)
+        assert info["instruction"] == "reach the goal"
+        assert env.observation_space.contains(observation)
+        with pytest.raises(InvalidAction):
+            env.step({**still, "gripper": np.full(1, 2.0, np.float32)})
+        steps, is_over = 0, False
+        while not is_over:
+            *_, terminated, truncated, info = env.step(still)
+            steps, is_over = steps + 1, truncated
+            assert not terminated
+        assert (steps, info["success"]) == (60, False)
+        with pytest.raises(InvalidSetup, match="seed"):
+            env.reset(-1)
+        assert info["time"] == pytest.approx(3.0)
+    with pytest.raises(WrongOrder, match="closed"):
+        env.reset(0)
+
+
+def test_a_simulator_at_an_address_is_left_running(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "vlagents.cli", "simulate", "tiny_simulator:Reach:near", "--port", "{port}"]
+    server = ServerProcess(words, tmp_path / "log")
+    try:
+        server.wait(lambda: ForeignEnv(ForeignSimulator(name=server.address)).close(), 60.0)
+        env = ForeignEnv(ForeignSimulator(name=server.address, timeout=2.0))
+        env.reset(0)
+        server.end(grace=0.0)
+        with env, pytest.raises(SimulationError, match="tiny:near: ConnectionLost"):
+            env.step({"xyzrpy": np.zeros(6), "gripper": np.zeros(1, np.float32)})
+    finally:
+        server.end()

@@ -1,0 +1,104 @@
+"""A person's answers: read from lines, taken back, and asked for once everything is in its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rcs_data.ledger import Ledger
+
+import rcs
+from rcs.agents import Agent
+from rcs.rollout import Answer, Evaluation, Outlines, PersonJudge, Summary, evaluate
+from rcs.rollout.person import answer_in
+
+SETUP = rcs.Setup(task="PickCuboid", max_episode_steps=2)
+
+
+class Stay(Agent):
+    """Keeps every joint where it is."""
+
+    def __init__(self, env: Any) -> None:
+        self._space = env.action_space
+
+    def reset(self, observation: Any, info: Any) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Any, info: Any) -> Any:
+        return {name: 0 * value + (name == "gripper") for name, value in self._space.sample().items()}
+
+
+@pytest.mark.parametrize(
+    ("line", "answer"),
+    [
+        ("y", Answer(success=True)),
+        (" No ", Answer(success=False)),
+        ("? #blurred", Answer(success=None, tags=("blurred",))),
+        ("n 2 #slip #late out of the left 3rd finger", Answer(
+            success=False, stages=2, tags=("slip", "late"), words="out of the left 3rd finger")),
+        ("y 3 well, 3 of 3", Answer(success=True, stages=3, words="well, 3 of 3")),
+        ("", None), ("yn", None), ("u", None), ("2 y", None),
+    ],
+)  # fmt: skip
+def test_a_line_is_a_verdict_and_then_stages_tags_and_words(line: str, answer: Answer | None) -> None:
+    assert answer_in(line) == answer
+
+
+class Script:
+    """Answers with given lines, and keeps the questions."""
+
+    def __init__(self, *lines: str) -> None:
+        self.lines, self.asked = list(lines), list[tuple[str, int | None]]()
+
+    def __call__(self, question: str, observation: Any, seed: int | None) -> str:
+        self.asked.append((question, seed))
+        return self.lines.pop(0)
+
+
+def judged(out: Path | None, script: Script, episodes: int = 3, **options: Any) -> Summary:
+    evaluation, summary = Evaluation(setup=SETUP, agent=Stay, episodes=episodes, out=out), Summary()
+    env = rcs.make(SETUP)
+    with Outlines(SETUP) as outlines:
+        judge = PersonJudge(script, outlines=outlines, **options)
+        for _ in evaluate(evaluation, summary, env=env, judge=judge):
+            pass
+        judge.end()
+    return summary
+
+
+def test_the_last_answer_can_be_taken_back_and_the_ledger_has_the_new_one(tmp_path: Path) -> None:
+    # `u` is no answer to the first question; then `n 1` becomes `y 3`, and the very last `y` becomes `?`.
+    script = Script("", "u", "n 1 #slip", "u", "what", "y 3 all the way", "n 2 #slip", "y", "u", "? #dark", "")
+    summary = judged(tmp_path / "out", script)
+    assert script.lines == []
+    ledger = Ledger(tmp_path / "out")
+    rows = list(ledger.rows.values())
+    assert [(row.success, row.stages, row.tags, row.message) for row in rows] == [
+        (True, 3, (), "all the way"), (False, 2, ("slip",), None), (None, None, ("dark",), None),
+    ]  # fmt: skip
+    assert [(row.failure, row.judge) for row in rows] == [(None, "person"), ("slip", "person"), (None, "nobody")]
+    assert [attempt.result.success for attempt in summary.attempts] == [True, False, None]
+    assert len((tmp_path / "out" / "ledger.jsonl").read_text().splitlines()) == 5
+    assert ledger.damage == []
+    again = judged(tmp_path / "out", Script())
+    assert (again.found, [one.result.success for one in again.attempts]) == (3, [True, False, None])
+
+
+def test_objects_are_put_in_place_before_an_episode_begins_and_while_the_one_before_is_judged() -> None:
+    script = Script("", "y", "y", "")
+    judged(None, script, episodes=2)
+    seeds = [Evaluation(setup=SETUP, episodes=2).seed_of(number) for number in range(2)]
+    assert [seed for _, seed in script.asked] == [*seeds, None, None]
+    with Outlines(SETUP) as outlines:
+        for (question, _), seed in zip(script.asked, seeds, strict=False):
+            assert outlines.words(seed) in question
+    assert "[u]ndo" not in script.asked[1][0]
+    assert "[u]ndo" in script.asked[2][0]
+
+
+def test_where_no_answer_can_be_taken_back_none_is_offered() -> None:
+    script = Script("", "y", "u", "n")
+    judged(None, script, episodes=2, can_undo=False)
+    assert script.lines == []
+    assert all("[u]ndo" not in question for question, _ in script.asked)

@@ -1,0 +1,206 @@
+"""One loop over many takes: every event acts, takes are recorded as a person judges them, figures are kept."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rcs_data import Dataset, EpisodeRecord
+
+import rcs
+from rcs.agents import Agent, Event, Guide
+from rcs.envs.observer import Note
+from rcs.envs.spaces import Action, Observation
+from rcs.rollout.latency import Latency
+from rcs.rollout.takes import LoopStatistics, Takes
+from rcs.rollout.teleoperate import Teleoperation
+
+
+class Asking(Agent):
+    """Stays where the robot is, and asks for things at given steps."""
+
+    def __init__(self, env: rcs.envs.Env, requests: Mapping[int, Event]) -> None:
+        (robot,) = env.robots.values()
+        self.guide, self.requests = Guide(env, robot), dict(requests)
+        self.steps = self.resets = 0
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        self.guide.reset(observation)
+        self.resets += 1
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        self.steps += 1
+        return self.guide.act(observation, info)
+
+    def notes(self) -> Mapping[str, Any]:
+        return {"input_time": time.monotonic() - 0.01, "mood": "calm", "place": np.arange(3.0)}
+
+    @property
+    def note_fields(self) -> Sequence[Note]:
+        return [Note("input_time", unit="s"), Note("mood", words=("calm", "angry")), Note("place", size=3, unit="m")]
+
+    def events(self) -> Sequence[Event]:
+        return [self.requests.pop(self.steps)] if self.steps in self.requests else []
+
+
+Make = Callable[..., tuple[Teleoperation, list[str]]]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Make]:
+    with ExitStack() as stack:
+
+        def made(requests: Mapping[int, Event], *, task: str = "PickCuboid", **options: Any) -> Any:
+            setup = {name: options.pop(name) for name in ("hardware", "stepping") if name in options}
+            env = stack.enter_context(rcs.make(task, max_episode_steps=None, **setup))
+            agent, told = Asking(env, requests), list[str]()
+            recorder = stack.enter_context(rcs.record(env, tmp_path / "set", notes=agent.note_fields))
+            takes = Takes(recorder, env.frequency, instructions=options.pop("instructions", ()))
+            return Teleoperation(env, agent, takes=takes, tell=told.append, **options), told
+
+        yield made
+
+
+def kept(tmp_path: Path) -> list[EpisodeRecord]:
+    return list(Dataset.open(tmp_path / "set").episodes)
+
+
+def test_takes_are_begun_judged_and_discarded_by_events(make: Make, tmp_path: Path) -> None:
+    loop, told = make(
+        {3: "start", 10: "success", 12: "start", 20: "discard", 22: "start", 30: "failure", 32: "start", 40: "start",
+         44: "stop"},
+        seed=7, instructions=("put it there", "now here"),
+    )  # fmt: skip
+    loop.run()
+    episodes = kept(tmp_path)
+    assert [(one.id, one.success, one.instruction) for one in episodes] == [
+        ("000000", True, "put it there"),
+        ("000001", False, "now here"),
+        ("000002", False, "put it there"),  # the verdict of the task
+    ]
+    assert [one.length for one in episodes] == [7, 8, 8]
+    assert loop.takes is not None
+    assert [take.is_kept for take in loop.takes.ended] == [True, False, True, True]
+    assert [(one.outcome or {})["loop"]["steps"] for one in episodes] == [7, 8, 8]
+    # A discarded take is followed by the same episode again, one that is kept by the next.
+    assert loop.seed == 7 + 3
+    assert loop.agent.resets == 1 + 4  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]
+    assert "Take 000000: success" in told[1]
+
+
+def test_words_and_vectors_beside_the_steps_are_recorded_and_when_targets_were_sent(make: Make, tmp_path: Path) -> None:
+    loop, _ = make({2: "start", 8: "success", 9: "stop"})
+    loop.run()
+    (episode,) = kept(tmp_path)
+    feature = episode.info.feature("notes/mood")
+    assert feature.words == ("calm", "angry")
+    np.testing.assert_array_equal(episode.column("notes/mood"), [1] * episode.length)
+    np.testing.assert_array_equal(episode.column("notes/place"), np.tile(np.arange(3.0), (episode.length, 1)))
+    sent, seen = episode.column("time/command"), episode.column("time/monotonic")
+    assert np.isnan(sent[0]) or sent[0] < seen[0]
+    assert (sent[1:] < seen[1:]).all()
+    assert (sent[1:] > seen[:-1]).all()
+
+
+def test_an_event_that_makes_no_sense_is_told_and_changes_nothing(make: Make, tmp_path: Path) -> None:
+    loop, told = make({2: "success", 3: "discard", 4: "engage", 5: "release", 6: "takeover", 8: "stop"})
+    loop.run()
+    assert told == ["There is no take; start one first."] * 2
+    assert kept(tmp_path) == []
+    assert loop.takes is not None
+    assert loop.takes.ended == []
+
+
+def test_a_reset_begins_the_next_episode(make: Make) -> None:
+    loop, _ = make({4: "reset", 8: "reset", 9: "stop"}, seed=3)
+    loop.run()
+    assert loop.seed == 5
+
+
+def test_a_fault_keeps_the_take_open_until_a_person_decides(make: Make, tmp_path: Path) -> None:
+    loop, told = make({3: "start"}, task="Free", hardware="fake")
+    arm: Any = next(port.device for port in _begun(loop).env.stack.ports if port.device is not None)
+    for _ in range(8):
+        loop.advance()
+    arm.trip("a person has pushed it")
+    while not loop.is_over:
+        loop.advance()
+    assert "a person has pushed it" in told[-1]
+    assert loop.takes is not None
+    assert loop.takes.now == "000000"
+    steps = loop.statistics.steps
+    loop.advance()  # waits; no device is commanded
+    assert loop.statistics.steps == steps
+    loop.obey("failure")
+    assert [(one.id, one.success) for one in kept(tmp_path)] == [("000000", False)]
+    loop.obey("reset")
+    assert not loop.is_over
+    loop.advance()
+    assert not loop.is_over
+
+
+def _begun(loop: Teleoperation) -> Teleoperation:
+    loop.begin(0)
+    return loop
+
+
+def test_on_real_devices_a_take_ends_and_the_loop_goes_on_where_the_robot_is(make: Make, tmp_path: Path) -> None:
+    loop, _ = make({3: "start", 9: "success", 12: "stop"}, task="Free", hardware="fake")
+    loop.run()
+    assert [(one.id, one.success) for one in kept(tmp_path)] == [("000000", True)]
+    assert loop.seed == 0
+    assert not loop.is_over
+
+
+def test_the_figures_of_a_loop_are_those_of_its_periods() -> None:
+    statistics = LoopStatistics(50.0)
+    for period, late in ((0.02, 0.0), (0.02, 0.0), (0.04, 0.02)):
+        statistics.add(period, {"late": late, "ages": {"joints": 0.001 + late}})
+    mean, deviation = statistics.rates
+    assert mean == pytest.approx(3 / 0.08)
+    assert deviation == pytest.approx(np.std([0.02, 0.02, 0.04]) * mean**2)
+    assert statistics.late == 1
+    assert str(statistics) == "3 steps at 37.50 ± 13.26 Hz, 1 late; oldest: joints 21 ms"
+    assert np.isnan(LoopStatistics(50.0).rates[0])
+
+
+class Moving(Asking):
+    """Rests, and moves now and then."""
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        if self.steps % 30 == 20:
+            joints = self.guide.joints
+            joints[0] += 0.3
+            self.guide.lead_joints_to(joints)
+        return super().act(observation, info)
+
+
+@pytest.mark.gl
+def test_the_latency_goes_from_the_reading_to_the_command_and_to_the_first_picture_that_has_changed() -> None:
+    with rcs.make("Free", cameras=("side",), stepping="realtime", max_episode_steps=None) as env:
+        latency = Latency()
+        env.add_observer(latency)
+        loop = Teleoperation(env, Moving(env, {110: "stop"}))
+        loop.run()
+    assert len(latency.commands) > 90
+    assert 0.01 <= np.median(latency.commands) < 0.03
+    assert len(latency.pictures) >= 2
+    assert all(time > command for time, command in zip(latency.pictures, [0.01] * 9, strict=False))
+    assert max(latency.pictures) < 0.5
+    assert "event to picture" in str(latency)
+
+
+def test_the_figures_of_a_loop_are_those_of_all_its_periods_and_take_no_more_room_with_every_hour() -> None:
+    periods = np.random.default_rng(3).uniform(0.02, 0.05, 5000)
+    statistics = LoopStatistics(30.0)
+    for period in periods:
+        statistics.add(float(period), {})
+    mean = periods.mean()
+    assert statistics.rates == pytest.approx((1 / mean, periods.std() / mean**2), rel=1e-9)
+    assert len(pickle.dumps(statistics)) < 500

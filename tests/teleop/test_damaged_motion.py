@@ -1,0 +1,227 @@
+"""A hundred thousand damaged messages on the way of an input: a robot that follows a still hand stays still."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import socket
+import ssl
+import struct
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.spatial import distance
+from rcs.teleop import InputDevice, Operator, Quest, Reading, SpaceMouse, Vive, credentials, vive_relay
+from rcs.teleop.headset_messages import decode
+from rcs.teleop.spacemouse import KnobReports
+from tests.teleop.test_damaged import COUNT, damaged
+
+pytestmark = pytest.mark.slow
+
+TOGETHER = 50
+"""Damaged messages between two good ones."""
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+
+
+@pytest.fixture(autouse=True)
+def quick_threads() -> Iterator[None]:
+    """Have three threads that wait for each other 10⁵ times take seconds, not minutes."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-4)
+    yield
+    sys.setswitchinterval(before)
+
+
+def lead(device: InputDevice, send: Callable[[bool], bool], counted: Callable[[], int]) -> None:
+    """Have a robot follow a hand that is still, then moves.
+
+    Args:
+        device: What the hand holds.
+        send: Sends a good message, and `TOGETHER` damaged ones after it, or, given True, good ones of a hand that
+            moves; returns False when `COUNT` damaged ones were sent.
+        counted: Returns how many damaged messages the device has counted.
+    """
+    with rcs.make("Free", stepping="async", max_episode_steps=None, binary_gripper=False) as env:
+        operator = Operator(env, device)
+        observation, info = env.reset(seed=0)
+        operator.reset(observation, info)
+        start, states, is_sending, has_ended = np.array(observation["tquat"]), set[str](), [True], threading.Event()
+
+        def run() -> None:
+            while send(False):
+                end = time.monotonic() + 20
+                while counted() < sent(device) and time.monotonic() < end:
+                    time.sleep(0.0005)
+            is_sending.clear()
+            while not has_ended.is_set():
+                send(True)
+                time.sleep(0.005)
+
+        sender = threading.Thread(target=run, daemon=True)
+        sender.start()
+        while is_sending:
+            observation, _, _, _, info = env.step(operator.act(observation, info))
+            states.add(operator.states["right"])
+            way, turn = distance(start, observation["tquat"])
+            assert way < 1e-4
+            assert turn < 1e-3
+        assert counted() >= 0.99 * COUNT  # a busy machine loses packets
+        end = time.monotonic() + 60
+        while np.linalg.norm(observation["tquat"][:3] - start[:3]) < 0.02:  # and it still follows
+            assert time.monotonic() < end, operator.problem
+            observation, _, _, _, info = env.step(operator.act(observation, info))
+        has_ended.set()
+        sender.join()
+        operator.close()
+    assert "engaged" in states
+
+
+def is_pressed(number: int, moved: float, begin: float) -> bool:
+    """Return whether the clutch is: from the tenth message on, and by a hand that moves again and again."""
+    return number > 10 if moved == 0.0 else (time.monotonic() - begin) % 1.0 > 0.2
+
+
+def sent(device: Any) -> int:
+    return device.sent_damaged
+
+
+def test_reports_of_a_knob(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "knob")
+    knob = os.open(tmp_path / "knob", os.O_RDWR)
+    random_ = random.Random(1)
+    kinds = [struct.pack("<B3h", 1, 0, 0, 0), struct.pack("<B6h", 1, *[0] * 6), struct.pack("<B3h", 2, 0, 0, 0)]
+
+    class Flooded(SpaceMouse):
+        """Reads damaged reports before each good one, one at a time, as the kernel gives them."""
+
+        good = kinds[0]
+
+        def read(self) -> Reading | None:
+            for _ in range(TOGETHER):
+                os.write(knob, broken(random_, kinds))
+                super().read()
+            os.write(knob, self.good)
+            return super().read()
+
+    device = Flooded(str(tmp_path / "knob"))
+    with rcs.make("Free", stepping="async", max_episode_steps=None, binary_gripper=False) as env:
+        operator = Operator(env, device, has_thread=False)
+        observation, info = env.reset(seed=0)
+        operator.reset(observation, info)
+        start = np.array(observation["tquat"])
+        for number in range(COUNT // TOGETHER + 20):
+            observation, _, _, _, info = env.step(operator.act(observation, info))
+            way = distance(start, observation["tquat"])[0]
+            if number < COUNT // TOGETHER:
+                assert way < 1e-4
+            else:
+                device.good = struct.pack("<B3h", 1, 200, 0, 0)
+        assert device._reports.damaged >= COUNT
+        assert way > 0.02  # and it still follows
+        operator.close()
+    os.close(knob)
+
+
+def broken(random_: random.Random, good: list[bytes]) -> bytes:
+    """Return a report that cannot be a good one; one that can moves the robot no faster than its knob may."""
+    while True:
+        report = damaged(random_, random_.choice(good))
+        knob = KnobReports()
+        if report and not knob.feed(report) and knob.damaged:
+            return report
+
+
+def test_messages_of_a_headset() -> None:
+    pytest.importorskip("cryptography", reason="pip install 'robot-control-stack[teleop]'")
+    client = pytest.importorskip("websockets.sync.client", reason="pip install 'robot-control-stack[teleop]'")
+    device: Any = Quest("127.0.0.1:0")
+    device.open()
+    device.open, device.sent_damaged = lambda: None, 0  # the operator finds it open, for the page needs its address
+    server, random_, number = device._opened._resource, random.Random(6), 0
+    where, _, code = device.url.partition("#")
+    trusting = ssl.create_default_context(cafile=str(credentials.folder() / "teleop.pem"))
+    page = client.connect(f"{where.replace('https', 'wss')}stream", ssl=trusting, compression=None)
+    page.send(code)
+    threading.Thread(target=lambda: [None for _ in page], daemon=True).start()  # echoes
+    begin = time.monotonic()
+
+    def good(y: float) -> bytes:
+        nonlocal number
+        number += 1
+        hand = {
+            "pose": [y, 1, -0.3, 0, 0, 0, 1],
+            "trigger": 0.0,
+            "buttons": 2 * is_pressed(number, y, begin),
+            "stick": 0,
+        }
+        now = 1e3 * (time.monotonic() - begin)
+        return json.dumps({"number": number, "time": now, "round_trip": 1, "hands": {"right": hand}}).encode()
+
+    def send(is_moving: bool) -> bool:
+        if is_moving:
+            page.send(good(0.1 * np.sin(time.monotonic() - begin)))
+            return True
+        message = good(0.0)
+        page.send(message)
+        for _ in range(TOGETHER if number > 20 else 0):
+            bad = damaged(random_, message)
+            if decode(bad) is None:  # others are as good as sent by the page, to which TLS lets nobody else be
+                page.send(bad)
+                device.sent_damaged += 1
+        time.sleep(0.005 if number < 20 else 0)
+        return device.sent_damaged < COUNT
+
+    lead(device, send, lambda: server.counts["damaged"])
+    page.close()
+
+
+def test_packets_of_a_relay() -> None:
+    device: Any = Vive("127.0.0.1:0")
+    device.open()
+    device.open, device.sent_damaged = lambda: None, 0
+    relay, random_, number = device._opened._resource, random.Random(9), 0
+    code = device.instructions.split()[-1]
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    link.connect(("127.0.0.1", relay.port))
+    sessions: list[bytes] = []
+    threading.Thread(target=lambda: sessions.append(vive_relay.meet(link, code)), daemon=True).start()
+    begin = time.monotonic()
+
+    def good(x: float) -> bytes:
+        nonlocal number
+        number += 1
+        matrix = (1.0, 0, 0, x, 0, 1, 0, 1, 0, 0, 1, 0)
+        wand = vive_relay.Tracked(vive_relay.RIGHT, True, matrix, 4 * is_pressed(number, x, begin), 0.0, (0.0, 0.0))
+        return vive_relay.pack(vive_relay.POSES, sessions[0], number, time.monotonic(), [wand], code)
+
+    def send(is_moving: bool) -> bool:
+        if not sessions:
+            time.sleep(0.01)
+            return True
+        packet = good(0.1 * np.sin(time.monotonic() - begin) if is_moving else 0.0)
+        link.send(packet)
+        if is_moving:
+            return True
+        for _ in range(TOGETHER if number > 20 else 0):
+            bad = damaged(random_, packet)
+            if bad and bad != packet:
+                link.send(bad)
+                device.sent_damaged += 1
+        time.sleep(0.005 if number < 20 else 0)
+        return device.sent_damaged < COUNT
+
+    lead(device, send, lambda: relay.counts["damaged or of another code"])
+    link.close()

@@ -1,0 +1,322 @@
+"""Laws of a hand that leads a robot, in all control modes, with one arm and two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.agents import Agent, Guide, PerRobot
+from rcs.errors import InvalidSetup, UnknownName
+from rcs.spatial import distance
+from rcs.teleop import HandReading, LeadOptions, Operator
+from tests.teleop.scripted_device import LEVEL, Led, ScriptedDevice, at, held
+
+MODES = [
+    *((control, how) for control in ("joints", "tquat", "xyzrpy") for how in ("last_step", "origin", "absolute")),
+    ("twist", "last_step"),
+]
+ARMS: list[dict[str, Any]] = [{"robot": "fr3"}, {"robot": "dual_fr3", "hands": ("left", "right")}]
+Lead = Callable[..., Led]
+
+
+def both(led_by: Callable[[float], HandReading], hands: tuple[str, ...]) -> Callable[[float], Any]:
+    return lambda t: {name: led_by(t) for name in hands}
+
+
+def spread(places: np.ndarray, of: np.ndarray) -> float:
+    return float(np.linalg.norm(places[:, :3] - of[:3], axis=1).max())
+
+
+def after(start: float, pose: Callable[[float], np.ndarray]) -> Callable[[float], HandReading]:
+    """A hand that presses the clutch at a moment and moves from then on."""
+    return lambda t: held(pose(max(t - start, 0.0)), *(("clutch",) if t >= start else ()))
+
+
+@pytest.mark.parametrize("arms", ARMS, ids=["one", "two"])
+@pytest.mark.parametrize(("control", "relative"), MODES)
+def test_engaging_with_a_still_hand_moves_nothing(
+    lead: Lead, control: Any, relative: Any, arms: dict[str, Any]
+) -> None:
+    hands = arms.get("hands", ("right",))
+    led = lead(both(after(0.5, lambda t: at(0.3, 0.1, 1.0)), hands), control=control, relative=relative, **arms)
+    led.run(0.5)
+    before = led.tcp
+    places = led.run(1.0)
+    assert set(led.operator.states.values()) == {"engaged"}
+    assert spread(places, before) < 1e-4
+
+
+@pytest.mark.parametrize("arms", ARMS, ids=["one", "two"])
+@pytest.mark.parametrize(("control", "relative"), MODES)
+def test_a_circle_of_the_hand_at_half_scale_is_half_the_circle(
+    lead: Lead, control: Any, relative: Any, arms: dict[str, Any]
+) -> None:
+    def circle(t: float) -> np.ndarray:
+        turn = 2 * np.pi * np.clip(t - 0.5, 0.0, 8.0) / 4.0
+        return at(0.1 * (1 - np.cos(turn)), 0.1 * np.sin(turn), 1.0)
+
+    hands = arms.get("hands", ("right",))
+    options = LeadOptions(scale=0.5)
+    led = lead(both(after(0.3, circle), hands), control=control, relative=relative, options=options, **arms)
+    led.run(0.3)
+    start = led.tcp
+    places = led.run(4.5)[-round(30 * 3.5) :]
+    centre = start[:3] + (0.05, 0.0, 0.0)
+    radius = np.linalg.norm(places[:, :2] - centre[:2], axis=1)
+    assert np.abs(radius - 0.05).max() < 2e-3
+    assert np.abs(places[:, 2] - centre[2]).max() < 2e-3
+    assert np.ptp(places[:, 1]) > 0.09
+
+
+@pytest.mark.parametrize("arms", ARMS, ids=["one", "two"])
+@pytest.mark.parametrize(("control", "relative"), MODES)
+def test_a_hand_that_walks_away_and_engages_again_moves_nothing(
+    lead: Lead, control: Any, relative: Any, arms: dict[str, Any]
+) -> None:
+    def walk(t: float) -> HandReading:
+        place = at(min(0.1 * t, 0.05), np.clip(t - 1.5, 0.0, 1.0), 1.0)
+        return held(place, *(("clutch",) if 0.3 <= t < 1.2 or t > 2.8 else ()))
+
+    hands = arms.get("hands", ("right",))
+    led = lead(both(walk, hands), control=control, relative=relative, **arms)
+    led.run(1.5)
+    before = led.tcp
+    places = led.run(2.0)
+    assert set(led.operator.states.values()) == {"engaged"}
+    assert spread(places, before) < 1e-4
+
+
+def test_no_two_targets_of_a_hand_at_72_hz_are_equal_at_90_hz(lead: Lead) -> None:
+    led = lead(after(0.2, lambda t: at(0.1 * t, 0.0, 1.0)), frequency=90.0, control="tquat", relative="absolute")
+    led.run(1.0)
+    steps = np.abs(np.diff(np.array(led.targets[-60:])[:, :3], axis=0)).max(axis=1)
+    assert steps.min() > 1e-5
+
+
+def test_a_fast_hand_leads_at_the_largest_speed_and_leaves_no_way_to_go_on(lead: Lead) -> None:
+    led = lead(after(0.2, lambda t: at(0.25 * np.sin(8.0 * min(t, 0.6)), 0.0, 1.0)), rate=200.0)
+    places = led.run(0.8)
+    speeds = np.linalg.norm(np.diff(places[:, :3], axis=0), axis=1) * 30
+    assert 0.2 < speeds.max() <= 0.25
+    led.run(0.7)
+    assert spread(led.run(0.5), led.tcp) < 1e-3
+
+
+def test_the_front_is_where_the_hand_points_at_the_button(lead: Lead) -> None:
+    left = (0.0, 0.0, np.sin(np.pi / 4), np.cos(np.pi / 4))
+
+    def script(t: float) -> HandReading:
+        place = at(0.0, 0.05 * np.clip(t - 0.5, 0.0, 1.0), 1.0, rotation=left)
+        return held(place, *(("front",) if 0.1 < t < 0.2 else ()), *(("clutch",) if t > 0.4 else ()))
+
+    led = lead(script)
+    led.run(0.4)
+    start = led.tcp
+    led.run(1.5)
+    np.testing.assert_allclose(led.tcp[:3] - start[:3], (0.05, 0.0, 0.0), atol=1e-3)
+
+
+def test_the_tcp_turns_as_the_hand_about_the_axes_of_the_room(lead: Lead) -> None:
+    def turning(t: float) -> np.ndarray:
+        angle = 0.3 * min(t, 1.0)
+        return at(0.0, 0.0, 1.0, rotation=(np.sin(angle / 2), 0.0, 0.0, np.cos(angle / 2)))
+
+    led = lead(after(0.3, turning))
+    led.run(0.3)
+    start = led.tcp
+    led.run(2.0)
+    turn = rcs.spatial.compose([0, 0, 0, *led.tcp[3:]], rcs.spatial.inverse([0, 0, 0, *start[3:]]))
+    np.testing.assert_allclose(turn[3:], (np.sin(0.15), 0.0, 0.0, np.cos(0.15)), atol=5e-3)
+    assert distance(led.tcp, start)[0] < 2e-3
+
+
+@pytest.mark.parametrize("robot", ["so101"])
+def test_an_arm_with_five_joints_follows_the_place_of_the_hand(lead: Lead, robot: str) -> None:
+    led = lead(after(0.3, lambda t: at(0.03 * min(t, 1.0), 0.0, 1.0 + 0.03 * min(t, 1.0))), robot=robot)
+    led.run(0.3)
+    start = led.tcp
+    led.run(2.0)
+    np.testing.assert_allclose(led.tcp[:3] - start[:3], (0.03, 0.0, 0.03), atol=3e-3)
+
+
+# --- Velocities and leaders -------------------------------------------------------------------------------------------
+
+
+def test_a_wanted_velocity_is_that_of_the_tcp_and_a_small_one_is_none(lead: Lead) -> None:
+    def script(t: float) -> HandReading:
+        speed = 0.1 if t < 1.0 else 0.004
+        return held(None, *(("clutch",) if t > 0.2 else ()), twist=np.array([0.0, speed, 0.0, 0.0, 0.0, 0.0]))
+
+    led = lead(script, options=LeadOptions(deadband=0.0201))
+    led.run(0.4)
+    start = led.tcp
+    led.run(0.5)
+    way = led.tcp[:3] - start[:3]
+    assert 0.03 < way[1] < 0.055
+    assert np.abs(way[[0, 2]]).max() < 1e-3
+    led.run(0.6)
+    assert spread(led.run(0.5), led.tcp) < 2e-4
+
+
+def leader(joints: np.ndarray, *buttons: Any) -> HandReading:
+    return held(None, *buttons, joints=joints)
+
+
+@pytest.mark.parametrize(
+    ("apart", "catch_up", "engages"), [(0.15, False, True), (0.4, False, False), (0.4, True, True)]
+)
+def test_a_leader_begins_near_its_follower_or_lets_it_catch_up(
+    lead: Lead, apart: float, catch_up: bool, engages: bool
+) -> None:
+    goal: list[np.ndarray] = []
+    led = lead(
+        lambda t: leader(goal[0], *(("clutch",) if t > 0.3 else ())) if goal else None,
+        options=LeadOptions(catch_up=catch_up),
+    )
+    start = np.array(led.observation["joints"])
+    goal.append(start + [0.0, 0.0, 0.0, apart, 0.0, 0.0, 0.0])
+    led.run(4.0)
+    assert led.operator.states == {"right": "engaged" if engages else "released"}
+    assert ("0.40 rad from the follower" in led.operator.problem) is not engages
+    wanted = goal[0] if engages else start
+    np.testing.assert_allclose(led.observation["joints"], wanted, atol=5e-3)
+    speeds = np.linalg.norm(np.diff(np.array(led.places)[:, :3], axis=0), axis=1) * 30
+    assert speeds.max() < 0.26
+
+
+def test_a_leader_with_other_joints_never_engages_and_says_why(lead: Lead) -> None:
+    led = lead(lambda t: leader(np.zeros(6), *(("clutch",) if t > 0.3 else ())))
+    led.run(1.0)
+    assert "6 joints and the arm 7" in led.operator.problem
+    assert led.operator.states == {"right": "released"}
+
+
+def test_a_leader_without_a_clutch_engages_once_it_rests(lead: Lead) -> None:
+    home: list[np.ndarray] = []
+    led = lead(
+        lambda t: leader(home[0] + (0.1 * np.sin(9.0 * t) if t < 1.0 else 0.0)) if home else None, has_clutch=False
+    )
+    home.append(np.array(led.observation["joints"]))
+    led.run(1.8)
+    assert led.operator.states == {"right": "released"}
+    led.run(0.6)
+    assert led.operator.states == {"right": "engaged"}
+
+
+# --- Gripper ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_button_opens_and_closes_the_gripper_without_the_clutch(lead: Lead) -> None:
+    led = lead(lambda t: held(LEVEL, *(("gripper",) if 0.2 < t % 1.0 < 0.4 else ())))
+    led.run(1.1)
+    assert led.observation["gripper"][0] < 0.1
+    led.run(1.0)
+    assert led.observation["gripper"][0] > 0.9
+
+
+def test_an_opening_takes_over_where_it_meets_that_of_the_gripper(lead: Lead) -> None:
+    def script(t: float) -> HandReading:  # closed at first, then wide open, then half closed
+        opening = 0.2 if t < 0.8 else min(0.2 + 2.0 * (t - 0.8), 1.0) if t < 1.5 else 0.5
+        return held(LEVEL, *(("clutch",) if t > 0.2 else ()), opening=opening)
+
+    led = lead(script)
+    led.run(0.7)
+    assert led.observation["gripper"][0] > 0.9  # a hand that is closed while it engages does not close it
+    led.run(1.5)
+    assert led.observation["gripper"][0] == pytest.approx(0.5, abs=0.05)
+
+
+# --- What does not fit ------------------------------------------------------------------------------------------------
+
+
+def test_hands_that_do_not_fit_the_robots_are_refused() -> None:
+    env = rcs.make("LiftBar", robot="dual_fr3")
+    with pytest.raises(InvalidSetup, match="name the robot that each hand leads"):
+        Operator(env, ScriptedDevice(lambda t: None, hands=("middle",)))
+    with pytest.raises(UnknownName, match="middle"):
+        Operator(env, ScriptedDevice(lambda t: None), robots={"middle": "left"})
+    with pytest.raises(UnknownName, match="rihgt"):
+        Operator(env, ScriptedDevice(lambda t: None), robots={"right": "rihgt"})
+    with pytest.raises(InvalidSetup, match="a robot of its own"):
+        Operator(env, ScriptedDevice(lambda t: None, hands=("left", "right")), robots={"left": "left", "right": "left"})
+
+
+def test_synchronous_steps_are_refused() -> None:
+    with pytest.raises(InvalidSetup, match="not 'sync'"):
+        Operator(rcs.make("Free", stepping="sync"), ScriptedDevice(lambda t: None))
+
+
+def test_one_hand_leads_the_robot_that_it_is_given_and_the_other_stays(lead: Lead) -> None:
+    led = lead(after(0.3, lambda t: at(0.05 * min(t, 1.0), 0.0, 1.0)), robot="dual_fr3", robots={"right": "left"})
+    led.run(0.3)
+    start = {name: np.array(led.observation[name]["tquat"]) for name in ("left", "right")}
+    led.run(1.6)
+    ways = {name: distance(led.observation[name]["tquat"], start[name])[0] for name in start}
+    assert ways["left"] == pytest.approx(0.05, abs=2e-3)
+    assert ways["right"] < 1e-4
+
+
+def test_one_robot_is_led_by_a_hand_and_the_other_by_another_agent(lead: Lead) -> None:
+    led = lead(after(0.3, lambda t: at(0.05 * min(t, 1.0), 0.0, 1.0)), robot="dual_fr3", robots={"right": "left"})
+    both = PerRobot(led.env, {"left": led.operator, "right": Nodding(led.env)})
+    start = {name: np.array(led.observation[name]["joints"]) for name in ("left", "right")}
+    tcp = np.array(led.observation["left"]["tquat"])
+    both.reset(led.observation, led.info)
+    for _ in range(60):
+        led.observation, _, _, _, led.info = led.env.step(both.act(led.observation, led.info))
+    assert distance(led.observation["left"]["tquat"], tcp)[0] == pytest.approx(0.05, abs=2e-3)
+    assert led.observation["right"]["joints"][3] - start["right"][3] == pytest.approx(0.1, abs=5e-3)
+    assert {note.name for note in both.note_fields} >= {"left/input_time", "left/right_state", "left/right_pose"}
+    assert both.notes()["left/right_state"] == "engaged"
+
+
+class Nodding(Agent):
+    """Turns the elbow of the right robot by 0.1 rad."""
+
+    def __init__(self, env: rcs.envs.Env) -> None:
+        self.guide = Guide(env, env.robots["right"])
+
+    def reset(self, observation: Any, info: Any) -> None:
+        self.guide.reset(observation)
+        joints = self.guide.joints
+        joints[3] += 0.1
+        self.guide.lead_joints_to(joints)
+
+    def act(self, observation: Any, info: Any) -> dict[str, Any]:
+        return self.guide.act(observation, info)
+
+
+def test_a_loop_that_was_held_up_holds_until_the_clutch_is_pressed_anew(lead: Callable[..., Led]) -> None:
+    is_pressed = [False]
+
+    def script(t: float) -> HandReading:
+        return held(at(0.0, 0.05 * t, 1.0), *(("clutch",) if is_pressed[0] else ()))
+
+    led = lead(script, frequency=30.0)
+    led.run(0.2)
+    is_pressed[0] = True
+    led.run(0.5)
+    assert led.operator.states == {"right": "engaged"}
+    world, held_up = led.env.simulation.world, [0.0]
+
+    def clock() -> float:
+        return float(world.time) + held_up[0]
+
+    led.device.clock = led.operator._clock = led.operator.feed._clock = clock
+    while held_up[0] < 1.0:  # meanwhile the device goes on, and the hand with it
+        held_up[0] += 0.02
+        led.operator.feed.poll()
+    led.run(0.1)
+    assert led.operator.states == {"right": "held"}
+    assert "held up for 1.0" in led.operator.problem
+    stopped = led.run(0.5)
+    assert np.abs(stopped[5:, :3] - stopped[-1, :3]).max() < 1e-3
+    is_pressed[0] = False
+    led.run(0.2)
+    is_pressed[0] = True
+    led.run(0.2)
+    assert led.operator.states == {"right": "engaged"}

@@ -1,0 +1,184 @@
+"""Foot pedals and keyboards of the robot's own, through events of the kernel."""
+
+from __future__ import annotations
+
+import os
+import struct
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcs.errors import DeviceFault
+from rcs.teleop.device import HandReading, InputDevice, Reading
+from rcs.teleop.input_events import InputEvents
+from rcs.teleop.pedal import Pedal, WithButtons
+
+A, B, C, W, SPACE = 30, 48, 46, 17, 57
+DESCRIPTION = """P: /devices/usb/input/input5
+E: SUBSYSTEM=input
+A: name=PCsensor FootSwitch
+A: id/vendor=3553
+A: id/product=b001
+
+P: /devices/usb/input/input5/event5
+N: input/event5
+E: DEVNAME=/dev/input/event5
+E: SUBSYSTEM=input
+L: device=../../input5
+
+"""
+
+
+def event(kind: int, code: int, value: int) -> bytes:
+    return struct.pack("@llHHi", 0, 0, kind, code, value)
+
+
+def keys(*changes: tuple[int, int, int]) -> dict[str, list[tuple[int, bytes]]]:
+    """Return a node with key events: delay [ms], code and value of each."""
+    return {"/dev/input/event5": [(delay, event(1, code, value) + event(0, 0, 0)) for delay, code, value in changes]}
+
+
+@pytest.mark.extras
+def test_a_pedal_is_found_and_read_through_the_kernels_files(read_mocked) -> None:
+    inputs = keys((200, A, 1), (200, A, 0), (200, B, 1), (0, B, 0))
+    lines = read_mocked("rcs.teleop.pedal:Pedal", seconds=1.2, description=DESCRIPTION, inputs=inputs)
+    assert lines[0] == {"open": True}
+    seen = [tuple(line["hands"]["right"]["buttons"]) for line in lines[1:] if "hands" in line]
+    changes = [buttons for buttons, before in zip(seen, [None, *seen], strict=False) if buttons != before]
+    assert changes == [(), ("clutch",), (), ("gripper",), ()]
+
+
+@pytest.mark.extras
+def test_a_keyboard_of_the_robots_own_is_read_through_the_kernels_files(read_mocked) -> None:
+    lines = read_mocked(
+        "rcs.teleop.keyboard:Keyboard", seconds=1.2, description=DESCRIPTION, address="/dev/input/event5",
+        inputs=keys((100, W, 1), (100, SPACE, 1), (100, SPACE, 0), (100, W, 0)),
+    )  # fmt: skip
+    hands = [line["hands"]["right"] for line in lines[1:] if "hands" in line]
+    assert {"clutch", "gripper"} in [set(hand["buttons"]) for hand in hands]
+    assert all(hand["twist"][0] == (0.1 if "clutch" in hand["buttons"] else 0.0) for hand in hands)
+    assert hands[-1]["buttons"] == []
+
+
+@pytest.mark.extras
+def test_no_pedal_is_refused_with_the_remedy(read_mocked) -> None:
+    (line,) = read_mocked("rcs.teleop.pedal:Pedal", seconds=1)
+    assert line["error"] == "DeviceFault" and "ls -l /dev/input/by-id" in line["message"]
+
+
+def test_keys_are_released_when_events_were_dropped() -> None:
+    keys = InputEvents("/dev/input/event0", "keyboard")
+    keys.feed(event(1, A, 1) + event(1, B, 1)[:7])
+    assert keys.held == {"a"}
+    keys.feed(event(1, B, 1)[7:])
+    assert keys.held == {"a", "b"}
+    keys.feed(event(0, 3, 0))
+    assert keys.held == set()
+    keys.feed(event(1, A, 2))  # the repetition of a key whose press was lost: it counts once it is pressed again
+    assert keys.held == set()
+
+
+def test_a_file_that_is_no_input_device_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pedal")
+    with pytest.raises(DeviceFault, match="is no foot pedal"):
+        Pedal(str(tmp_path / "pedal")).open()
+
+
+class Still(InputDevice):
+    """A device whose own clutch is held, and whose gripper is."""
+
+    valid_for = 0.07
+    hands = ("left", "right")
+    is_open = False
+
+    def open(self) -> None:
+        self.is_open = True
+
+    def read(self) -> Reading:
+        hand = HandReading(twist=np.zeros(6), buttons=frozenset({"clutch", "gripper"}))
+        return Reading(time=1.0, hands={"left": hand, "right": hand})
+
+    def close(self) -> None:
+        self.is_open = False
+
+
+class Foot(Pedal):
+    """A pedal without a file: its keys are what the test gives."""
+
+    fate = ""
+
+    def open(self) -> None:
+        keys = InputEvents("", "")
+
+        def wait(seconds: float) -> None:
+            time.sleep(0.002)
+            if self.fate == "lost":
+                raise DeviceFault("the cable is out")
+            keys.time = keys.time if self.fate else time.monotonic()
+
+        keys.wait = wait  # type: ignore[method-assign]
+        self._opened.put(keys)
+
+    def feed(self, data: bytes) -> None:
+        with self._opened as keys:
+            keys.feed(data)
+
+
+def soon_has(device: InputDevice, hand: str, *buttons: str) -> None:
+    """Wait until a hand has these buttons and no others."""
+    end = time.monotonic() + 20
+    while (found := device.read()) is None or found.hands[hand].buttons != set(buttons):
+        assert time.monotonic() < end, found
+        time.sleep(0.002)
+
+
+def test_beside_a_pedal_the_devices_own_clutch_does_not_count() -> None:
+    still, foot = Still(), Foot()
+    with WithButtons(still, foot) as device:
+        device.open()
+        assert (device.valid_for, device.hands, device.has_clutch) == (0.07, ("left", "right"), True)
+        soon_has(device, "left", "gripper")
+        foot.feed(event(1, A, 1))
+        soon_has(device, "left", "clutch", "gripper")
+        foot.feed(event(1, A, 0))
+        soon_has(device, "right", "gripper")
+        foot.feed(event(1, C, 1) + event(1, C, 0))  # too short to be seen held
+        soon_has(device, "right", "gripper", "start")
+        soon_has(device, "right", "gripper")
+    assert not still.is_open
+
+
+def test_beside_any_other_device_only_its_clutch_does_not_count() -> None:
+    still, foot = Still(), Foot()
+    with WithButtons(still, foot, clutch=False) as device:
+        device.open()
+        foot.feed(event(1, A, 1) + event(1, C, 1))
+        soon_has(device, "left", "clutch", "gripper", "start")
+        foot.feed(event(1, C, 0))
+        soon_has(device, "left", "clutch", "gripper")
+
+
+def test_a_pedal_that_is_silent_or_lost_is_released() -> None:
+    foot = Foot()
+    with WithButtons(Still(), foot) as device:
+        device.open()
+        for fate in ("silent", "lost"):
+            foot.feed(event(1, A, 1))
+            soon_has(device, "left", "clutch", "gripper")
+            foot.fate = fate
+            soon_has(device, "left", "gripper")
+            foot.fate = ""
+            if fate == "lost":  # it is opened again, and its key counts once it is pressed again
+                time.sleep(1.1)
+                soon_has(device, "left", "gripper")
+
+
+def test_a_device_that_does_not_open_leaves_the_pedal_closed() -> None:
+    foot = Foot()
+    device = WithButtons(Pedal("/dev/null/none"), foot)
+    with pytest.raises(DeviceFault, match="no foot pedal"):
+        device.open()
+    with pytest.raises(DeviceFault, match="closed"):
+        foot.read()

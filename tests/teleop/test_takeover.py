@@ -1,0 +1,95 @@
+"""A person takes a robot over from a policy, and gives it back, without a jump of the target."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rcs_data import Dataset
+
+import rcs
+from rcs.agents import Agent, PickExpert
+from rcs.teleop import HandReading, Operator, Takeover
+from tests.teleop.scripted_device import ScriptedDevice, at, held
+
+LOOP, PERSON, POLICY = 90.0, 72.0, 10.0
+
+
+class Slow(PickExpert):
+    """The expert as a policy of 10 Hz."""
+
+    rate = POLICY
+
+
+def run(env: rcs.envs.Env, agent: Agent, seconds: float) -> tuple[list[str], list[Any]]:
+    observation, info = env.reset(seed=3)
+    agent.reset(observation, info)
+    actors, infos = [], [{**info, "measured": observation["joints"]}]
+    for _ in range(round(seconds * LOOP)):
+        action = agent.act(observation, info)
+        notes = agent.notes()
+        env.note(**notes)
+        actors.append(notes["actor"])
+        observation, _, terminated, truncated, info = env.step(action)
+        infos.append({**info, "measured": np.array(observation["joints"])})
+        if terminated or truncated:
+            break
+    return actors, infos
+
+
+@pytest.mark.parametrize("control", ["joints", "tquat"])
+@pytest.mark.parametrize("seed", range(10))
+def test_taking_over_and_giving_back_at_random_steps_makes_no_jump(tmp_path: Path, control: Any, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    taken = float(random.uniform(0.2, 1.5))
+    given = taken + float(random.uniform(0.6, 1.2))
+
+    def script(t: float) -> HandReading:
+        buttons: list[Any] = [] if not any(0 <= t - when < 0.05 for when in (taken, given)) else ["takeover"]
+        buttons += ["clutch"] if taken + 0.2 < t < given else []
+        return held(at(0.05 * np.sin(3.0 * t), 0.05 * np.cos(3.0 * t), 1.0), *buttons)
+
+    env = rcs.make("PickCuboid", control=control, relative="absolute", frequency=LOOP, max_episode_steps=None)
+    with env:
+        world = env.simulation.world
+        device = ScriptedDevice(script, clock=lambda: float(world.time), rate=PERSON)
+        operator = Operator(env, device, clock=lambda: float(world.time), has_thread=False)
+        agent = Takeover(env, Slow(env), operator)
+        with rcs.record(env, tmp_path / "set", notes=agent.note_fields) as takes:
+            takes.start(at_reset=True)
+            actors, infos = run(env, agent, given + 1.0)
+            takes.finish(None)
+        agent.close()
+    switches = [i for i in range(1, len(actors)) if actors[i] != actors[i - 1]]
+    assert [actors[i] for i in switches] == ["person", "policy"]
+    period = 1.0 / LOOP
+    bound = np.array(env.robots["fr3"].arm.velocity_limit) * period + 1e-9
+    key = "joints" if control == "joints" else None
+    if key is not None:
+        targets = np.array([info["target"][key] for info in infos[1:]])
+        measured = np.array([info["measured"] for info in infos])
+        steps = np.abs(np.diff(targets, axis=0))
+        # What brings a target back to where the arm is measured is no jump: the arm brakes at once.
+        back = np.abs(targets[:-1] - measured[1:-1])
+        assert (steps <= np.maximum(bound, back + bound)).all()
+        speeds = np.abs(np.diff(measured, axis=0)).max(axis=0) * LOOP
+        assert (speeds < np.array(env.robots["fr3"].arm.velocity_limit)).all()
+    (episode,) = Dataset.open(tmp_path / "set").episodes
+    words = episode.info.feature("notes/actor").words
+    assert [words[int(i) - 1] for i in episode.column("notes/actor")[1:]] == actors
+    assert (episode.column("notes/actor")[0]) == 0
+
+
+def test_the_policy_finishes_what_a_person_has_interrupted() -> None:
+    def script(t: float) -> HandReading:
+        return held(at(0.0, 0.0, 1.0), *(("takeover",) if 0.5 < t < 0.55 or 1.0 < t < 1.05 else ()))
+
+    with rcs.make("PickCuboid", relative="absolute", frequency=30.0, max_episode_steps=None) as env:
+        world = env.simulation.world
+        device = ScriptedDevice(script, clock=lambda: float(world.time))
+        agent = Takeover(env, Slow(env), Operator(env, device, clock=lambda: float(world.time), has_thread=False))
+        result = rcs.run_episode(env, agent, seed=3, max_steps=600)
+        assert result.success
+        agent.close()
