@@ -38,16 +38,13 @@ import rcs
 from rcs.calibration import Board, BoardStrategy, Detections, HandEye, View, detect, hand_eye
 from rcs.calibration.board_pose import board_poses
 from rcs.calibration.closed_form import camera_in_mount, rigid
-from rcs.calibration.packages import package
 from rcs.errors import InvalidSetup
+from rcs.extras import package_of
 from rcs.robots import Mount
-from rcs.robots.calibration import CameraCalibration
-from rcs.rollout.calibrate import Tour, look_around
-from rcs.rollout.free_path import FreePath
-from rcs.setups.calibration import Calibration, write_calibration
+from rcs.rollout.calibrate import FreePath, Tour, look_around
+from rcs.setups import Calibration, ShowBoardOptions, write_calibration
 from rcs.setups.mounted_camera import MountedCamera
 from rcs.spatial import Intrinsics, Pose
-from rcs.tasks import ShowBoardOptions
 
 CAMERAS = {"eye-in-hand": "wrist", "eye-to-hand": "side"}
 BOARDS: dict[str, dict[str, Any]] = {
@@ -100,7 +97,7 @@ def park(board: Board, views: Sequence[View], found: HandEye, lens: Intrinsics) 
         for pose in board_poses(board, view.detections[right], lens)[:1]:
             anchors.append(view.anchor_in_mount(found.arrangement))
             boards.append(pose.board_in_camera)
-    cv2 = package("cv2")
+    cv2 = package_of("calibration", "cv2")
     if not hasattr(cv2, "calibrateHandEye"):
         return rigid(camera_in_mount(np.array(anchors), np.array(boards)))
     mounts = np.linalg.inv(anchors)
@@ -177,13 +174,13 @@ def measure(arrangement: str, seed: int, options: Options, folder: Path) -> dict
     rng = np.random.default_rng(seed)
     name, task = CAMERAS[arrangement], ShowBoardOptions(**BOARDS[arrangement])
     plain = rcs.Setup(
-        task="rcs.tasks.show_board:ShowBoard", task_options=task.to_json(), robot=options.robot,
+        task="rcs.setups.board_setup:ShowBoard", task_options=task.to_json(), robot=options.robot,
         cameras=rcs.Cameras(name, image_size=options.size), relative="absolute", stepping="sync",
         max_episode_steps=None,
     )  # fmt: skip
     lab = MountedCamera.of(plain, name)
     optical = Mount.of(near(lab.camera.optical_in_parent.pose, rng))
-    board_near = near(task.pose, rng)
+    board_near = near(task.mount.pose, rng)
     width, height = options.size
     result: dict[str, Any] = {"refused": True, "false_alarms": 0}
 
@@ -195,7 +192,7 @@ def measure(arrangement: str, seed: int, options: Options, folder: Path) -> dict
     def look(lens: Intrinsics) -> tuple[BoardStrategy, Pose]:
         """Drive and look; the single axis of the first seed besides."""
         file = folder / "calibration.json"
-        write_calibration(file, {name: Calibration(optical=optical, camera=CameraCalibration(intrinsics=lens))})
+        write_calibration(file, {name: Calibration(optical=optical, intrinsics=lens)})
         setup = replace(plain, cameras=replace(plain.cameras, calibration=str(file)))
         strategy = BoardStrategy(lab.rig(lens, board_near), task.board, views=options.views, seed=seed)
         with rcs.make(setup) as env:

@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, FrameAccess
-from rcs_data.feature import Colour
+from rcs_data.files.feature import Colour
 
 import rcs
 from rcs.rollout.collect import Collection, Progress, collect
@@ -105,7 +105,7 @@ def measured(path: Path, takes: Takes, colour: Colour, rounds: int) -> dict[str,
     count = len(places)
     times = {"record": record, "finish": finish, "read": min(reading), "alone": min(alone)}
     return {
-        "kb": round(sum((e.path / "frames.arrow").stat().st_size for e in episodes) / count / 1e3, 2),
+        "kb": round(sum((e.path / "frames.zip").stat().st_size for e in episodes) / count / 1e3, 2),
         "psnr_db": decibel(errors[:, 0].mean()),
         "worst_block_db": decibel(errors[:, 1].max()),
         **{f"{name}_ms": round(1e3 * seconds / count, 2) for name, seconds in times.items()},

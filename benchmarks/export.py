@@ -22,12 +22,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import tyro
 from rcs_data import Dataset
-from rcs_data.convert.lerobot import export_lerobot
-from rcs_data.convert.lerobot_layout import IMAGES
-from rcs_data.convert.options import ExportOptions
-from rcs_data.convert.video import VideoReader, encode_video
-from rcs_data.trajectory import camera_features, step_frames
-from rcs_data.video_format import VideoCodec
+from rcs_data.convert.lerobot.export import export_lerobot
+from rcs_data.convert.lerobot.layout import IMAGES
+from rcs_data.convert.lerobot.video import VideoReader, encode_video
+from rcs_data.convert.options import ExportOptions, VideoCodec
+from rcs_data.read.trajectory import camera_features, step_frames
 
 import rcs
 from rcs.rollout.collect import Collection, Progress, collect

@@ -9,6 +9,7 @@ Prints one line of JSON per robot, and a last one for all. Measurements, each by
 - `endings`: how long the robot goes on when its program is busy or has ended;
 - `late`: ticks that come late beside a loop that records;
 - `faults`: what follows every fault that the robot knows, with `--faults N`;
+- `hosted`: how long it takes to start a host, to reach it, and to find that it hangs, of `fake`;
 - `bus`: reads of an SO101's servos while packets are late, lost and damaged;
 - `skew`: of the commands to two arms, of `dual_fr3`.
 
@@ -23,7 +24,7 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from rehearsal import apart, bus, endings, fake, faults, late, sent, skew
+from rehearsal import apart, bus, endings, fake, faults, hosted, late, sent, skew
 
 ARMS = ("fr3", "ur5e", "xarm7", "so101")
 ROBOTS = ("fake", *ARMS, "dual_fr3")
@@ -32,7 +33,10 @@ ROBOTS = ("fake", *ARMS, "dual_fr3")
 def measurements(robot: str, given: argparse.Namespace) -> dict[str, Callable[[], Any]]:
     """Return the measurements for a robot."""
     if robot == "fake":
-        return {"sent": lambda: fake.measure(given.commands, given.seconds)}
+        return {
+            "sent": lambda: fake.measure(given.commands, given.seconds),
+            "hosted": lambda: hosted.measure(given.tries),
+        }
     if robot == "dual_fr3":
         return {"skew": lambda: skew.measure(given.seconds)}
     found: dict[str, Callable[[], Any]] = {
@@ -83,7 +87,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", metavar="PART", help="some of the measurements, such as: sent late")
     parser.add_argument("--commands", type=int, default=6_000, help="random commands")
     parser.add_argument("--seconds", type=float, default=10.0, help="in real time, for late ticks and skew")
-    parser.add_argument("--tries", type=int, default=2, help="of each way to end")
+    parser.add_argument("--tries", type=int, default=2, help="of each way to end, and of a host that hangs")
     parser.add_argument("--faults", type=int, default=0, help="moments for each fault")
     parser.add_argument("--reads", type=int, default=10_000, help="of servos")
     given = parser.parse_args()

@@ -53,7 +53,7 @@ class Options:
     wild: int = 100_000
     """Number of targets that are mostly out of reach, and of twists."""
     pinocchio_targets: int = 1000
-    """How many of the targets Pinocchio solves, if it is installed; it takes hundreds of times as long."""
+    """How many of the targets Pinocchio solves, if it is installed; it takes longer."""
     threads: int = 1
     """Threads for the wild targets, whose time is not measured."""
     seed: int = 0

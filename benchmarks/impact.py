@@ -29,7 +29,7 @@ def hit(robot: str, speed: float, physics_step: float = 0.002, **fields: Any) ->
     env: Any = rcs.make("PickCuboid", robot=robot, frequency=1 / physics_step, physics_step=physics_step, **form)
     world = env.simulation.world
     arm = world.subtree_flags(env.simulation.robots[0].placement.base_body)
-    force = world.read_force(arm, 1 - arm)
+    force = world.core.read_force(arm, 1 - arm)
     observation, _ = env.reset(seed=0)
     target, period = observation["tquat"].copy(), world.period
     forces: list[float] = []

@@ -5,15 +5,16 @@ A quarter of the trials each kills
 - a collection in one process that notes, in memory shared with this program, how many rows it has recorded: there the
   loss is exact;
 - the whole process tree of `rcs collect` with two workers;
-- a program that deletes, trims, merges and undoes without end;
+- a program that deletes, trims, merges, undoes and prunes without end;
 - a program that exports to LeRobot's format and imports that without end.
 
 After every kill the finished episodes are checked by hash and `recover` brings back the open ones; after an edit the
 dataset must be as it was before or after it, and undo must lead back to what was recorded; a conversion's result is
 complete or absent. A check lists all leftovers, and a repair removes them.
 
-Prints one JSON object. `lossless` counts the kills after which no finished episode was missing or changed, no edit was
-half done and the check passed; `lost_rows_max` and `lost_s_max` are what the open episode lost.
+Prints one JSON object, also when it is ended early. `lossless` counts the kills after which no finished episode was
+missing or changed, no edit was half done and the check passed; `lost_rows_max` and `lost_s_max` are what the open
+episode lost.
 """
 
 from __future__ import annotations
@@ -47,6 +48,8 @@ from rcs.rollout.collect import Collection, Progress, collect
 from rcs.setups.make import make
 
 FPS = 30.0
+PATIENCE = 600.0
+"""How long a program may take to be at work, or to be gone, on a busy machine [s]; longer is a hang."""
 COUNTER = struct.Struct("<qq")
 """Number of the episode that is open and rows recorded of it."""
 
@@ -132,7 +135,7 @@ def collect_and_count(folder: Path, setup: Setup) -> None:
 
 
 def edit_without_end(folder: Path) -> None:
-    """Delete, undo, trim, undo, merge, and so on, until killed."""
+    """Delete, undo, trim, undo, prune, merge, and so on, until killed."""
     ids = [episode.id for episode in Dataset.open(folder).episodes]
     folder.with_suffix(".ready").touch()
     while True:
@@ -140,6 +143,7 @@ def edit_without_end(folder: Path) -> None:
         edit.undo(folder)
         edit.trim(folder, ids[0], first=3, last=20)
         edit.undo(folder)
+        edit.prune(folder)
         merged = folder.with_suffix(".merged")
         shutil.rmtree(merged, ignore_errors=True)
         edit.merge([folder, folder], merged)
@@ -168,8 +172,16 @@ def main(options: Options) -> None:
     if options.converter:
         convert_without_end(Path(options.converter))
         return
-    rng = random.Random(options.seed)
     totals = Totals()
+    try:
+        kill_in_turns(options, setup, totals)
+    finally:
+        print(json.dumps(summary(totals)))
+
+
+def kill_in_turns(options: Options, setup: Setup, totals: Totals) -> None:
+    """Kill each kind of program in turn and count what is found."""
+    rng = random.Random(options.seed)
     with tempfile.TemporaryDirectory(prefix="rcs-kill-") as root:
         source = Path(root) / "source"
         list(collect(Collection(setup=setup, out=source, episodes=4), Progress()))
@@ -186,32 +198,32 @@ def main(options: Options) -> None:
             totals.lossless[kind] += is_lossless
             for left in Path(root).glob(f"trial {trial}*"):
                 shutil.rmtree(left) if left.is_dir() else left.unlink()
+
+
+def summary(totals: Totals) -> dict[str, object]:
+    """Return the counts of all trials as they are printed."""
     lost = max(totals.lost, default=0)
-    print(
-        json.dumps(
-            {
-                "benchmark": "kill",
-                "trials": options.trials,
-                "lossless": sum(totals.lossless.values()),
-                "lossless_by_kind": {kind: f"{totals.lossless[kind]} of {totals.kills[kind]}" for kind in totals.kills},
-                "finished_episodes": totals.finished,
-                "damaged": totals.damaged,
-                "half_edits": totals.half_edits,
-                "left_behind": totals.left,
-                "recovered_episodes": totals.recovered,
-                "checks_failed_after_recover": totals.failed_checks,
-                "exact_losses": len(totals.lost),
-                "lost_rows_max": lost,
-                "lost_s_max": round(lost / FPS, 3),
-            }
-        )
-    )
+    return {
+        "benchmark": "kill",
+        "trials": sum(totals.kills.values()),
+        "lossless": sum(totals.lossless.values()),
+        "lossless_by_kind": {kind: f"{totals.lossless[kind]} of {totals.kills[kind]}" for kind in totals.kills},
+        "finished_episodes": totals.finished,
+        "damaged": totals.damaged,
+        "half_edits": totals.half_edits,
+        "left_behind": totals.left,
+        "recovered_episodes": totals.recovered,
+        "checks_failed_after_recover": totals.failed_checks,
+        "exact_losses": len(totals.lost),
+        "lost_rows_max": lost,
+        "lost_s_max": round(lost / FPS, 3),
+    }
 
 
 def kill_after(command: list[str], is_under_way: Callable[[], bool], seconds: float) -> None:
     """Start a program, wait until it is at work and a while longer, and kill it with all its children."""
     process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + PATIENCE
     while not is_under_way():
         assert process.poll() is None, process.stderr.read().decode() if process.stderr else ""
         assert time.monotonic() < deadline, f"{command} did not start"
@@ -224,7 +236,7 @@ def kill_after(command: list[str], is_under_way: Callable[[], bool], seconds: fl
 
 def recover_after_workers(folder: Path) -> None:
     """Recover as soon as the last killed worker is gone; on a busy machine that takes longer than the parent."""
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + PATIENCE
     while True:
         try:
             recover(folder)
@@ -249,7 +261,7 @@ def kill_recording(folder: Path, rng: random.Random, has_cameras: bool, is_count
     def is_under_way() -> bool:
         if is_counted:  # from the second episode on
             return COUNTER.unpack(counter.read_bytes())[0] >= 0
-        return any((folder / "episodes").glob("*"))
+        return any((folder / "open").glob("*"))
 
     kill_after(command, is_under_way, rng.uniform(0.0, 1.5))
     episode, rows = COUNTER.unpack(counter.read_bytes())

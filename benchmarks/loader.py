@@ -34,9 +34,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from rcs_data import Dataset, Windows
-from rcs_data.codec import decode_frame
-from rcs_data.torch import TorchDataset
-from rcs_data.trajectory import step_frames
+from rcs_data.files.codec import decode_frame
+from rcs_data.read.torch import TorchDataset
+from rcs_data.read.trajectory import step_frames
 
 import rcs
 from rcs.rollout.collect import Collection, Progress, collect

@@ -29,18 +29,16 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from rcs_data import DatasetInfo, DatasetWriter, Feature
-from rcs_data.background import BackgroundEpisode
-from rcs_data.encoders import Encoders
-from rcs_data.flags import FrameFlag, flags_key, time_key
+from rcs_data.files.flags import FrameFlag, flags_key, time_key
+from rcs_data.record.background import BackgroundEpisode, Encoders
 
 import rcs
 from rcs.envs.assemble import assemble
 from rcs.envs.parts import Parts
-from rcs.setups.lab import looking
+from rcs.robots.camera import looking
 from rcs.setups.make import resolve
 from rcs.sim.camera import SimCameras
-from rcs.sim.camera_feed import CameraFeed, RenderThread
-from rcs.sim.frame_clock import FrameClock, FrameRate
+from rcs.sim.camera_feed import CameraFeed, FrameClock, FrameRate, RenderThread
 
 WIDTH, HEIGHT = 1280, 720
 VIEWS = {"left": (0.6, 0.8, 0.5), "right": (0.6, -0.8, 0.5), "front": (1.4, 0.0, 0.5), "above": (0.5, 0.1, 1.2)}

@@ -20,7 +20,7 @@ from statistics import median
 import numpy as np
 import tyro
 from rcs_data import DatasetInfo, DatasetWriter, Feature
-from rcs_data.background import BackgroundEpisode
+from rcs_data.record.background import BackgroundEpisode
 
 STATE = 64
 FEATURES = (

@@ -94,7 +94,7 @@ class Held:
         self.data, self._model = world.data, world.model
         pads = [[placement.gripper_prefix + pad for pad in finger] for finger in placement.gripper.pad_geoms]
         cuboid = world.geom_flags([CUBOID])
-        self._forces = [world.read_force(world.geom_flags(finger), cuboid) for finger in pads]
+        self._forces = [world.core.read_force(world.geom_flags(finger), cuboid) for finger in pads]
         self._pads = [world.model.geom(pad).id for finger in pads for pad in finger]
         self._hand = world.model.body(placement.gripper_prefix + placement.gripper.base_body).id
         self._box, self._geom = world.model.body(CUBOID).id, world.model.geom(CUBOID).id

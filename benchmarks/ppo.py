@@ -21,7 +21,7 @@ import tyro
 
 import rcs
 from rcs.rl import Sb3VecEnv, recipe_for
-from rcs.rl.sb3_learner import Sb3Learner
+from rcs.rl.learner import Sb3Learner
 from rcs.rl.train import cpus
 
 

@@ -25,9 +25,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from rcs_data import DatasetInfo, DatasetWriter, Feature
-from rcs_data.background import BackgroundEpisode
-from rcs_data.codec import encode_frame
-from rcs_data.flags import FrameFlag, flags_key, time_key
+from rcs_data.files.codec import encode_frame
+from rcs_data.files.flags import FrameFlag, flags_key, time_key
+from rcs_data.record.background import BackgroundEpisode
 
 import rcs
 

@@ -30,7 +30,7 @@ PREPARE = (
 )
 OPERATIONS = {
     "open": "Dataset.open(path)",
-    "info": "from rcs_data.cli.info import InfoCommand; InfoCommand(path=path).run()",
+    "info": "from rcs_data.cli.view import InfoCommand; InfoCommand(path=path).run()",
     "check_fast": "assert check(path, depth='bytes', workers=1).is_ok",
     "check_rows": "assert check(path, depth='rows', workers=1).is_ok",
     "windows": "Windows(Dataset.open(path))",

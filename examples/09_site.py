@@ -57,11 +57,11 @@ with tempfile.TemporaryDirectory() as folder:
     with rcs.make(setup, hardware=site) as env:
         print(env, "Nothing is connected yet, and these are the limits:", env.limits(), sep="\n\n")
         agent = Circle()
-        with rcs.record(env, out) as takes:
+        with rcs.record(env, out) as recorder:
             for _ in range(2):
-                take = takes.start("draw a circle", at_reset=True)
+                take = recorder.start("draw a circle", at_reset=True)
                 result = rcs.run_episode(env, agent, judge=judge, max_steps=90)
-                takes.stop(result.success)
+                recorder.finish(result.success)
                 print(f"take {take}: {result.steps} steps, success {result.success}")
 
     faults = [finding for finding in check(out).findings if finding.severity == "error"]

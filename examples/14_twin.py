@@ -10,7 +10,6 @@ import time
 import numpy as np
 
 import rcs
-from rcs.agents import JointSweep
 from rcs.robots import FR3, FRANKA_HAND
 from rcs.virtual import StandInArm
 
@@ -21,11 +20,16 @@ with (
     rcs.make("Free", relative=False, hardware=hardware, max_episode_steps=None) as env,
     rcs.attach_twin(env, on_alarm="hold") as twin,
 ):
-    agent = JointSweep(env, amplitude=0.4)
     observation, info = env.reset()
-    agent.reset(observation, info)
-    for _ in range(75):
-        observation, *_, info = env.step(agent.act(observation, info))
+    home = observation["joints"]
+
+    def swayed(step: int) -> dict[str, np.ndarray]:
+        """Return the action that moves every joint by up to 0.4 rad and back, in three seconds."""
+        sway = 0.2 * (1.0 - np.cos(2 * np.pi * step / (3 * env.frequency)))
+        return {"joints": home + sway, "gripper": np.ones(1, np.float32)}
+
+    for step in range(75):
+        observation, *_, info = env.step(swayed(step))
 
     compared = twin.comparisons["fr3"]
     print(f"lag: {1e3 * (compared.lag or np.nan):.1f} ms")
@@ -34,8 +38,8 @@ with (
 
     arm.freeze()  # accepts commands but does not move, without a fault
     frozen = time.monotonic()
-    for _ in range(60):
-        observation, _, _, truncated, info = env.step(agent.act(observation, info))
+    for step in range(75, 135):
+        observation, _, _, truncated, info = env.step(swayed(step))
         if truncated:
             break
     print(f"after {1e3 * (time.monotonic() - frozen):.0f} ms: {info['end']}, {info.get('faults', {})}")

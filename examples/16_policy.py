@@ -14,7 +14,7 @@ from vlagents.policies.scripted import ScriptedPolicy
 
 import rcs
 from rcs.policy import Execution, ServedPolicy, fitted
-from rcs.rollout import UNSEEN, Evaluation, Summary, evaluate
+from rcs.rollout import Evaluation, Summary, evaluate
 from rcs.spatial import distance, limit_step, tquat_to_matrix
 
 RATE, HORIZON = 20.0, 16  # rows per second [Hz], and of a chunk
@@ -62,7 +62,7 @@ METADATA = Metadata(
 
 
 def policy() -> ScriptedPolicy:
-    """Return the policy, as `vlagents serve scripted --checkpoint 16_policy:policy` does."""
+    """Return the policy, as `vlagents serve 16_policy:policy` does."""
     return ScriptedPolicy(chunk, METADATA)
 
 
@@ -77,9 +77,7 @@ if __name__ == "__main__":
             for mode in ("open_loop", "receding", "ensemble", "rtc"):
                 served = ServedPolicy(address=str(server.address), execution=Execution(mode=mode, latency=latency))
                 summary = Summary()
-                for _ in evaluate(
-                    Evaluation(setup=setup, agent=served, episodes=given.episodes, first_seed=UNSEEN), summary
-                ):
+                for _ in evaluate(Evaluation(setup=setup, agent=served, episodes=given.episodes), summary):
                     pass
                 low, high = (100 * bound for bound in summary.interval)
                 steps = np.mean([result.steps for result in summary.results])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rcs.errors import MissingDependency
 from rcs.robots.description import Mount
-from rcs.robots.digit.description import DIGIT
+from rcs.robots.tactile import DIGIT
 from rcs.sim import Scene, World
 from rcs.sim.tactile import Look, SimTactile
 from rcs.sim.tactile_mounts import TactilePlacement

@@ -3,17 +3,23 @@
     python tools/mutants.py [--count 60] [--seed 0] [--only src/rcs/envs ...]
 
 Draws random changes of one expression each: a number, a comparison, True or False, a condition, an operator. Runs the
-tests of the mutated file: the mirrored one and all that import the module by its name, without those that are slow. A
-mutant is killed when they fail. Prints a line per mutant, and a last line of JSON. The source is restored at the end,
-also after Ctrl-C.
+tests of the mutated file, but for those with the marks `slow`, `cluster` and `interop`: the mirrored ones, those that
+mention most of what the module defines, those of its importers, and the laws of all dataclasses, of the motion of
+episodes and of the reference pages. Install what the marks `extras` and `hardware` need first.
+
+A mutant is killed when a test fails that passes without it. Counted apart, and no part of the share, are mutants whose
+tests take longer than a limit, be they slow or endless, and those for which a test fails without them, too. Prints a
+line per mutant, and a last line of JSON. The source is restored at the end, also after Ctrl-C.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import functools
 import json
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -21,7 +27,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 ROOT = Path(__file__).parents[1]
 SOURCES = {
@@ -30,9 +36,16 @@ SOURCES = {
     "packages/vlagents/src/vlagents": "packages/vlagents/tests",
 }
 """Folders of sources and of the tests that mirror them."""
-MARKS = "not slow and not cluster and not interop and not hardware"
-TIME_LIMIT = 300.0
-"""Longest run of a mutant's tests [s]; one that never ends counts as killed."""
+MOST_TESTS = 8
+"""Test files of a mutant; more would take minutes."""
+SHOWN = ("envs", "robots", "setups", "sim", "tasks")
+"""Folders of `src/rcs` whose figures are on the reference pages."""
+PAGES = "tests/test_docs.py::test_pages_of_tasks_robots_and_options_are_what_the_code_says"
+MOVING = ("agents", "envs", "kinematics", "robots", "setups", "sim", "spatial", "tasks")
+"""Folders of `src/rcs` that decide how an episode goes on."""
+MOTION = "tests/integration/test_same_motion.py"
+RECORDS = "tests/test_surface.py::test_records_are_frozen_and_take_their_fields_by_name"
+"""The law of all dataclasses."""
 
 SWAPS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt,
@@ -81,7 +94,7 @@ def mutated(node: ast.AST) -> tuple[str, ast.expr] | None:
 
 
 def expressions(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield all expressions of a tree but those of annotations, literal types and docstrings."""
+    """Yield all expressions of a tree but annotations, literal types, docstrings and the word of `zip` to be strict."""
     for name, value in ast.iter_fields(node):
         if name in ("annotation", "returns", "type_comment"):
             continue
@@ -89,6 +102,8 @@ def expressions(node: ast.AST) -> Iterator[ast.AST]:
             if isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant):
                 continue
             if isinstance(child, ast.Subscript) and "Literal" in ast.dump(child.value):
+                continue
+            if isinstance(child, ast.keyword) and child.arg == "strict":
                 continue
             if isinstance(child, ast.AST):
                 yield child
@@ -98,46 +113,126 @@ def expressions(node: ast.AST) -> Iterator[ast.AST]:
 def mutants_of(path: Path) -> list[Mutant]:
     """Return all mutants of a file."""
     source = path.read_bytes()
-    text = source.decode()
     starts = [0]
     for line in source.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
     found: list[Mutant] = []
-    for node in expressions(ast.parse(text)):
+    for node in expressions(ast.parse(source)):
         change = mutated(node)
         if change is None or not isinstance(node, ast.expr):
             continue
-        before, start = ast.get_source_segment(text, node), starts[node.lineno - 1] + node.col_offset
-        if before is not None and source[start : start + len(before.encode())] == before.encode():
-            found.append(Mutant(path, node.lineno, change[0], before, ast.unparse(change[1]), start))
+        start = starts[node.lineno - 1] + node.col_offset
+        end = starts[(node.end_lineno or node.lineno) - 1] + (node.end_col_offset or 0)
+        before = source[start:end].decode()
+        found.append(Mutant(path, node.lineno, change[0], before, ast.unparse(change[1]), start))
     return found
 
 
 def tests_of(path: Path) -> list[str]:
-    """Return the test files that mirror a source file or import its module."""
+    """Return the test files that mirror a source file, that mention what it defines, and those of its importers.
+
+    Last come laws of the whole: of dataclasses, of an episode's motion, and of the reference pages.
+    """
+    found = [*mirrors(path), *mentions(path)]
+    seen, modules = {path}, [path]
+    while modules and len(set(found)) < MOST_TESTS:
+        importers = [one for module in modules for one in importers_of(module) if one not in seen]
+        found += [test for one in importers for test in mirrors(one)]
+        found += [test for one in importers if not mirrors(one) for test in mentions(one)]
+        seen |= set(importers)
+        modules = list(dict.fromkeys(importers))
+    if not found:  # found by its entry point: of tilburg_wire.py, test_tilburg.py
+        found = sorted((ROOT / "tests").rglob(f"test_{path.stem.partition('_')[0]}*.py"))
+    package, folder, *_ = module_of(path).split(".")
+    whole = [RECORDS] if "dataclass(" in path.read_text() else []
+    whole += [MOTION] if package == "rcs" and folder in MOVING else []
+    whole += [PAGES] if package == "rcs" and folder in SHOWN else []
+    return [str(one.relative_to(ROOT)) for one in list(dict.fromkeys(found))[:MOST_TESTS]] + whole
+
+
+@functools.cache
+def text_of(folder: str, pattern: str) -> dict[Path, str]:
+    """Return the texts of all files below a folder."""
+    return {one: one.read_text() for one in sorted((ROOT / folder).rglob(pattern))}
+
+
+def module_of(path: Path) -> str:
+    """Return the name of a source file's module."""
+    folder = next(one for one in SOURCES if path.is_relative_to(ROOT / one))
+    below = path.relative_to(ROOT / folder)
+    return ".".join([Path(folder).name, *below.with_suffix("").parts]).removesuffix(".__init__")
+
+
+def mentions(path: Path) -> list[Path]:
+    """Return the test files that import a source file or mention what it defines or what it is as a command."""
+    module = module_of(path)
+    names = [f"from {re.escape(module)} import", f"import {re.escape(module)}\n", f'"{re.escape(module)}:']
+    names += [rf"\b{one}\b" for one in defined(path)]
+    names += [f'"{path.stem}"'] if ".cli." in module else []
+    pattern = re.compile("|".join(names))
+    folders = dict.fromkeys(
+        [SOURCES[next(one for one in SOURCES if path.is_relative_to(ROOT / one))], *SOURCES.values()]
+    )
+    counts = {
+        one: len(set(pattern.findall(text)))
+        for folder in folders
+        for one, text in text_of(folder, "test_*.py").items()
+        if ".cli." not in module or "cli" in one.parts or one.name == "test_cli.py"
+    }
+    return sorted((one for one, count in counts.items() if count), key=lambda one: -counts[one])
+
+
+def importers_of(path: Path) -> list[Path]:
+    """Return the source files that import one."""
+    module = module_of(path)
+    package, _, name = module.rpartition(".")
+    words = re.compile(
+        rf"from {re.escape(module)} import|from {re.escape(package)} import (?:.*\b)?{name}\b|\"{re.escape(module)}:"
+    )
+    return [one for folder in SOURCES for one, text in text_of(folder, "*.py").items() if words.search(text)]
+
+
+def mirrors(path: Path) -> list[Path]:
+    """Return the test files that mirror a source file, or where there are none, its folder."""
     folder = next(one for one in SOURCES if path.is_relative_to(ROOT / one))
     tests, below = ROOT / SOURCES[folder], path.relative_to(ROOT / folder)
-    module = ".".join([Path(folder).name, *below.with_suffix("").parts]).removesuffix(".__init__")
-    found = set((tests / below.parent).glob(f"test_{below.stem}*.py"))
-    names = (f"from {module} import", f"import {module}\n", f'"{module}:')
-    found |= {one for one in tests.rglob("test_*.py") if any(name in one.read_text() for name in names)}
-    if not found:  # the tests of its folder
-        found = set((tests / below.parent).glob("test_*.py"))
-    return [str(one.relative_to(ROOT)) for one in sorted(found)]
+    own = sorted((tests / below.parent).glob(f"test_{below.stem.rstrip('_')}*.py"))
+    return own or sorted((tests / below.parent.parent).glob(f"test_{below.parent.name or below.stem}*.py"))
 
 
-def is_killed(mutant: Mutant, tests: list[str]) -> bool:
-    """Return True if tests fail with a mutant in place."""
+def defined(path: Path) -> list[str]:
+    """Return the public classes and functions of a source file, but for those named like its verbs: run, main."""
+    nodes = ast.parse(path.read_text()).body
+    names = [node.name for node in nodes if isinstance(node, ast.ClassDef | ast.FunctionDef)]
+    return [name for name in names if not name.startswith("_") and (not name.islower() or "_" in name)]
+
+
+def run(tests: list[str], limit: float | None = None) -> subprocess.CompletedProcess[str]:
+    """Run tests, up to the first that fails, for at most `limit` seconds."""
+    marks = "not slow and not cluster and not interop"
+    # With the settings of all tests, by which paths are those from here, for tests of a package, too.
+    options = ["-c", "pyproject.toml", "-q", "-x", "-p", "no:cacheprovider", "-m", marks]
+    command = [sys.executable, "-m", "pytest", *options, *tests]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=limit, check=False)
+
+
+Fate = Literal["killed", "survived", "too long", "unsound"]
+
+
+def fate_of(mutant: Mutant, tests: list[str], limit: float) -> Fate:
+    """Return what tests make of a mutant, in at most `limit` seconds."""
     source = mutant.path.read_bytes()
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", MARKS, *tests]
     try:
         mutant.path.write_bytes(mutant.apply(source))
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, timeout=TIME_LIMIT, check=False)
+        made = run(tests, limit) if tests else None
     except subprocess.TimeoutExpired:
-        return True
+        return "too long"
     finally:
         mutant.path.write_bytes(source)
-    return done.returncode not in (0, 5)  # 5: there are no tests
+    if made is None or made.returncode in (0, 5):  # 5: all tests have marks that are left out
+        return "survived"
+    failed = re.findall(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", made.stdout, re.MULTILINE)
+    return "unsound" if run(failed[:1] or tests).returncode else "killed"
 
 
 def main() -> None:
@@ -145,6 +240,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=60, help="mutants")
     parser.add_argument("--seed", type=int, default=0, help="same seed and same source, same mutants")
+    parser.add_argument("--limit", type=float, default=300.0, help="longest run of a mutant's tests [s]")
     parser.add_argument(
         "--only", nargs="+", type=Path, default=[ROOT / one for one in SOURCES], help="files or folders"
     )
@@ -155,18 +251,17 @@ def main() -> None:
     )
     drawn = random.Random(given.seed)
     every = [mutant for file in files for mutant in mutants_of(file)]
-    results: dict[str, Any] = {"mutants": 0, "killed": 0, "survived": []}
+    fates: dict[Fate, list[str]] = {"killed": [], "survived": [], "too long": [], "unsound": []}
     for mutant in drawn.sample(every, min(given.count, len(every))):
-        tests, begin = tests_of(mutant.path), time.monotonic()
-        killed = is_killed(mutant, tests)
+        begin = time.monotonic()
+        fate = fate_of(mutant, tests_of(mutant.path), given.limit)
         change = f"{' '.join(mutant.before.split())} -> {mutant.after}"
         name = f"{mutant.path.relative_to(ROOT)}:{mutant.line} {mutant.kind}: {change}"
-        print(f"{'killed' if killed else 'SURVIVED':8} {time.monotonic() - begin:5.0f} s {name}", flush=True)
-        results["mutants"] += 1
-        results["killed"] += killed
-        if not killed:
-            results["survived"].append(name)
-    results["share"] = round(results["killed"] / max(results["mutants"], 1), 3)
+        print(f"{fate:8} {time.monotonic() - begin:5.0f} s {name}", flush=True)
+        fates[fate].append(name)
+    killed, judged = len(fates["killed"]), len(fates["killed"]) + len(fates["survived"])
+    results: dict[str, Any] = {"mutants": judged, "killed": killed, "share": round(killed / max(judged, 1), 3)}
+    results |= {fate: names for fate, names in fates.items() if fate != "killed"}
     print(json.dumps(results))
 
 

@@ -18,19 +18,19 @@ import rcs
 from rcs.agents import agent_for
 
 SETUPS: dict[str, dict[str, Any]] = {
-    "PickCuboid:fr3": {"observe": ("torques", "wrench", "contacts", "privileged")},
-    "PickCuboid:ur5e": {"control": "xyzrpy"},
+    "PickCuboid:fr3": {"observe": ("torques", "wrench", "contacts", "privileged"), "task_options": {"distractors": 4}},
+    "PickCuboid:ur5e": {"control": "xyzrpy", "reward": "dense", "task_options": {"pose": "any", "edges": "random"}},
     "PickCuboid:xarm7": {"end_effector": "robotiq_2f85", "control": "tquat", "relative": "absolute"},
-    "PickCuboid:so101": {"stepping": "sync"},
+    "PickCuboid:so101": {"stepping": "sync", "randomisation": "default"},
     "Place:fr3": {"randomisation": "strong"},
     "Place:so101": {},
-    "Place:ur5e": {},
-    "StackCuboid:fr3": {},
+    "Place:ur5e": {"reward": "dense"},
+    "StackCuboid:fr3": {"reward": "dense"},
     "Push:fr3": {"control": "twist"},
-    "PickToy:xarm7": {"end_effector": "robotiq_2f85"},
-    "LiftBar:dual_fr3": {"observe": ("privileged",)},
+    "PickToy:xarm7": {"end_effector": "robotiq_2f85", "randomisation": "mild"},
+    "LiftBar:dual_fr3": {"observe": ("privileged",), "reward": "dense"},
 }
-"""Options by task and robot, so that all controls, both steppings and the randomisation are among them."""
+"""Options by task and robot, so that all controls, both steppings, rewards and randomisations are among them."""
 
 
 def feed(digest: Any, value: Any) -> None:

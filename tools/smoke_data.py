@@ -57,7 +57,7 @@ with tempfile.TemporaryDirectory() as folder:
     for codec in ("h264", "av1"):
         exported = Path(folder) / codec
         convert.export_lerobot(dataset, exported, convert.ExportOptions(codec=codec))
-        again = convert.import_lerobot(exported, Path(folder) / f"again-{codec}", convert.ImportOptions(video=codec))
+        again = convert.import_lerobot(exported, Path(folder) / f"again-{codec}")
         assert [episode.length for episode in again] == [38, 40]
         errors = again["000000"].column(IMAGE).astype(int) - dataset["000000"].column(IMAGE)
         assert np.abs(errors[:-1]).max() <= 4, codec  # the last observation is repeated

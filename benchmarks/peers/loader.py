@@ -23,7 +23,7 @@ from statistics import median
 
 import tyro
 from rcs_data import Dataset
-from rcs_data.convert.lerobot import export_lerobot
+from rcs_data.convert.lerobot.export import export_lerobot
 from rcs_data.convert.options import ExportOptions
 from vlagents.policies import catalogue
 
@@ -76,16 +76,13 @@ def prepared(folder: Path, options: Options) -> dict[str, tuple[Path, str, Path]
     setup = rcs.Setup(
         task="PickCuboid", robot="fr3", cameras=rcs.Cameras(names=("wrist", "side"), image_size=(224, 224))
     )
-    for colour in ("jpeg", "h264"):
-        wanted = Collection(setup=setup, out=folder / colour, episodes=options.episodes, seed=1, colour=colour)
-        for _ in collect(wanted, Progress()):
-            pass
+    for _ in collect(Collection(setup=setup, out=folder / "jpeg", episodes=options.episodes, seed=1), Progress()):
+        pass
     for codec in ("h264", "av1"):
         export_lerobot(Dataset.open(folder / "jpeg"), folder / f"lerobot-{codec}", ExportOptions(codec=codec))
     ours, theirs = (Path(sys.executable), "rcs_loader.py"), (options.python, "lerobot_loader.py")
     return {
         "rcs jpeg": (*ours, folder / "jpeg"),
-        "rcs h264": (*ours, folder / "h264"),
         "lerobot h264": (*theirs, folder / "lerobot-h264"),
         "lerobot av1": (*theirs, folder / "lerobot-av1"),
     }

@@ -7,7 +7,7 @@ import sys
 import time
 
 from rcs_data import Dataset, Windows
-from rcs_data.torch import TorchDataset
+from rcs_data.read.torch import TorchDataset
 from torch.utils.data import DataLoader
 
 HORIZON, BATCH, SECONDS = 16, 64, 10.0

@@ -27,7 +27,8 @@ def measure(reads: int) -> dict[str, Any]:
     refused = 0
     with stage("so101") as one:
         address = one.site.arms["so101"]
-        servos = Servos(address.address, read_calibration(address.options["calibration"]), TIMEOUT)
+        servos = Servos(address.address)
+        servos.check(read_calibration(address.options["calibration"]), TIMEOUT)
         calibration = servos.calibration
         servos.power(ARM)
         start = {servo: servos.read().positions[servo] for servo in ARM}

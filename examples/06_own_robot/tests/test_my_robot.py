@@ -41,7 +41,7 @@ class TestTheArm(ArmContract):
 
     robot = "my_robot"
 
-    def make_arm(self) -> Arm:
+    def make_device(self) -> Arm:
         """Return the arm of a new world whose time passes in steps of 10 ms."""
         env = rcs.make("Free", robot=self.robot, frequency=100.0)
         env.reset(seed=0)
@@ -125,7 +125,7 @@ class TestTheArmOfOurDriver(ArmContract):
 
     distance = 1.2  # it moves in real time, and a busy machine looks late
 
-    def make_arm(self) -> Arm:
+    def make_device(self) -> Arm:
         """Return the arm."""
         return MyDriver().arm("192.0.2.7", MY_ROBOT, {})
 

@@ -1,15 +1,11 @@
-"""Measure the time to start a host of devices, to reach it, and to detect that it hangs.
+"""The time to start a host of devices, to reach it, and to detect that it hangs.
 
-    python benchmarks/hosted.py [--tries 10]
-
-Prints one line of JSON. `hang_ms`: from a call that does not return to the fault, the longest. The arm is a fake: what
-its vendor's controller takes comes on top. `hardware.py` measures how long arms go on whose program is busy or killed.
+`hang_ms`: from a call that does not return to the fault, the longest. The arm is a fake: what its vendor's controller
+takes comes on top.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import sys
 import tempfile
@@ -17,28 +13,23 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
-sys.path.append(str(Path(__file__).parents[1] / "tests/hardware"))  # for `unruly`, whose arms say when they hold
+sys.path.append(str(Path(__file__).parents[2] / "tests/hardware"))  # for `unruly`, whose arms say when they hold
 from unruly import drop
 
 from rcs.hardware import Site
-from rcs.robots.fr3.description import FR3
+from rcs.robots.fr3 import FR3
 
 HOME = np.array(FR3.home)
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--tries", type=int, default=10)
-    tries = parser.parse_args().tries
-    with tempfile.TemporaryDirectory(prefix="rcs", dir="/tmp") as folder:
-        os.environ["RCS_HOSTS"] = folder
-        box = Path(folder)
-        result = {**reach(box), **hangs(box, tries)}
-    print(json.dumps({"benchmark": "hosted", **result}))
+def measure(tries: int) -> dict[str, float]:
+    """Measure all three, hangs several times."""
+    with tempfile.TemporaryDirectory(prefix="rcs", dir="/tmp") as folder, patch.dict(os.environ, RCS_HOSTS=folder):
+        return {**reach(Path(folder)), **hangs(Path(folder), tries)}
 
 
 def arm_in(box: Path) -> Any:
@@ -82,7 +73,3 @@ def hangs(box: Path, tries: int) -> dict[str, float]:
             took.append(1e3 * (time.monotonic() - begin))
             arm.recover()
     return {"hang_ms": round(max(took), 1)}
-
-
-if __name__ == "__main__":
-    main()
