@@ -1,8 +1,8 @@
 # make demo          build, install into .venv, collect episodes of Pick-Cuboid with the scripted FR3, and say where the report is
 # make test          build, install, run the tests of C++ and Python, on all cores; a few minutes
-# make test-all      the same with the tests that take more than ten seconds and with the coverage; test-extras. As in .ci/run
+# make test-all      the same with the tests that take more than ten seconds and with the coverage; test-extras
 # make test-extras   the tests that need torch, Stable-Baselines3, Ray, Pinocchio, OMPL, OpenCV, mujoco-menagerie or a browser;
-#                    test-wheel
+#                    test-wheel. As in .ci/run
 # make test-wheel    build a wheel, install it into an environment of its own, and run it there
 # make test-interop  open our exports with the readers of LeRobot and others, and serve tiny policies of other projects; each
 #                    gets an environment of its own (first time: about 10 GB and 20 minutes)
@@ -105,9 +105,14 @@ docs: $(VENV)/.stamp-docs
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=$(JOBS) --maxprocesses=8 --dist=loadfile --no-loadscope-reorder \
   --durations=10
 
+# Runs the tests that $(2) selects by the command $(1). What fails is run once more, by itself, and has to pass then: other work
+# on a machine makes late what keeps real time. The first failures are printed all the same.
+TESTED = $(1) $(2) || { echo "==> Testing once more what failed" && \
+  OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(2) --last-failed --last-failed-no-failures none; }
+
 test: test-cpp gl
 	@echo "==> Testing Python"
-	@$(PYTEST)
+	@$(call TESTED,$(PYTEST))
 
 test-all: test-cpp gl
 	@echo "==> Testing Python, with what is slow"
@@ -176,7 +181,7 @@ test-extras: test-wheel $(VENV)/.stamp-extras gl
 	@[ -e $(IWER) ] || ! command -v npm >/dev/null || { echo "==> Fetching the headset for tests of its page" && mkdir -p build/npm && \
 	  (cd build/npm && npm pack --silent iwer@2.5.0 && tar xzf iwer-2.5.0.tgz) >/dev/null; }
 	@echo "==> Testing what needs extras"
-	@$(PYTEST) -m "extras or browser"
+	@$(call TESTED,$(PYTEST),-m "extras or browser")
 
 # The extras that bring the vendors' libraries.
 DRIVERS := digit franka leader pylibfranka realsense robotiq so101 tilburg ur webcam xarm
@@ -188,13 +193,10 @@ $(VENV)/.stamp-drivers: $(VENV)/.stamp-built pyproject.toml Makefile
 	  xargs -d '\n' $(PIP) install -c constraints.txt
 	@touch $@
 
-# One at a time: a virtual robot keeps real time, and so does its driver. Other work on the machine makes both late, and a
-# driver then reports a fault, as it should; so what fails is run once more, and has to pass then.
+# One at a time: a virtual robot keeps real time, and so does its driver.
 test-hardware: $(VENV)/.stamp-drivers
 	@echo "==> Testing drivers against virtual robots"
-	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "hardware and not slow" --durations=10 || \
-	  { echo "==> Testing once more what failed" && \
-	    OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "hardware and not slow" --last-failed --last-failed-no-failures none; }
+	@$(call TESTED,OMP_NUM_THREADS=1 $(BIN)/python -m pytest --durations=10,-m "hardware and not slow")
 
 # The contracts of all devices, too, in a quarter of an hour.
 test-hardware-all: $(VENV)/.stamp-drivers
