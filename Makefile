@@ -65,7 +65,7 @@ $(VENV)/.stamp-tools: $(VENV)/.stamp-venv constraints.txt
 
 $(VENV)/.stamp-built: $(VENV)/.stamp-tools pyproject.toml packages/rcs-data/pyproject.toml packages/vlagents/pyproject.toml $(CORE)
 	@echo "==> Compiling the core and installing rcs with its dependencies (first time: a minute or two)"
-	@$(PIP) install -c constraints.txt -e packages/rcs-data -e packages/vlagents
+	@$(PIP) install -c constraints.txt -e 'packages/rcs-data[rlds]' -e packages/vlagents # tfrecord has no wheel: isolated, too
 	@$(PIP) install --no-build-isolation -c constraints.txt -e '.[dev]'
 	@touch $@
 
