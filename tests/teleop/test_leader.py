@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from math import pi, tau
+from math import pi
 from pathlib import Path
 from typing import Any
 
@@ -24,48 +21,12 @@ from rcs.teleop.dynamixel import Answers, checksum, packet
 from rcs.teleop.gello import connect, gello
 from rcs.teleop.leader import Leader, LeaderCalibration
 from rcs.teleop.so101_leader import So101Bus, so101_leader, uncalibrated
+from tests.teleop.leaders import COUNTS, STEP, Bus, bus_of, calibrated, saved
 
 # They need pyserial and Feetech's library, which `make test-hardware` installs.
 pytestmark = pytest.mark.hardware
 pytest.importorskip("serial", reason="serial lines need pyserial: pip install 'robot-control-stack[leader]'")
 pytest.importorskip("scservo_sdk", reason="an SO101 needs feetech-servo-sdk: pip install 'robot-control-stack[leader]'")
-
-STEP = tau / 4096
-COUNTS = {"feetech": 6, "dynamixel": 8}
-"""Servos of a leader."""
-
-
-class Bus:
-    """The servos' process."""
-
-    def __init__(self, kind: str, count: int) -> None:
-        program = [sys.executable, str(Path(__file__).parent / "leader_bus.py"), kind, str(count)]
-        self._process = subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        assert self._process.stdout is not None
-        self.path = self._process.stdout.readline().strip()
-
-    def tell(self, **given: Any) -> dict[str, dict[str, Any]]:
-        """Tell it something; return torque, goals, limits and positions by servo."""
-        assert self._process.stdin is not None and self._process.stdout is not None
-        self._process.stdin.write(json.dumps(given) + "\n")
-        self._process.stdin.flush()
-        return json.loads(self._process.stdout.readline())
-
-    def put(self, *positions: int) -> None:
-        self.tell(positions=dict(enumerate(positions, 1)))
-
-    def close(self) -> None:
-        self._process.kill()
-        self._process.communicate()
-
-
-@contextmanager
-def bus_of(kind: str, count: int) -> Iterator[Bus]:
-    bus = Bus(kind, count)
-    try:
-        yield bus
-    finally:
-        bus.close()
 
 
 @pytest.fixture
@@ -78,17 +39,6 @@ def feetech() -> Iterator[Bus]:
 def dynamixel() -> Iterator[Bus]:
     with bus_of("dynamixel", 8) as bus:
         yield bus
-
-
-def calibrated(port: str, **changes: Any) -> LeaderCalibration:
-    values: dict[str, Any] = {"signs": (1, -1, 1, 1, 1, 1, 1), "offsets": (0.0, 1.0) + (0.0,) * 5, "near": (0.0,) * 7}
-    values |= {"closed": pi, "opened": pi - 0.8, "servos": (1, 2, 3, 4, 5, 6, 7, 8)}
-    return LeaderCalibration(address=port, **{**values, **changes})
-
-
-def saved(calibration: LeaderCalibration, folder: Path) -> str:
-    calibration.write(folder / "leader.json")
-    return str(folder / "leader.json")
 
 
 def leader_at(bus: Bus, kind: str, folder: Path) -> Leader:

@@ -19,10 +19,13 @@ import rcs
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.teleop import Leader, Operator, WithButtons, gello, so101_leader
 from rcs.teleop.leader import AHEAD, FRESH, PACE
+from tests.teleop.leaders import COUNTS, STEP, Bus, bus_of, calibrated, saved
 from tests.teleop.scripted_device import ScriptedDevice, held
-from tests.teleop.test_leader import COUNTS, STEP, Bus, bus_of, calibrated, saved
 
+# They need pyserial and Feetech's library, which `make test-hardware` installs.
 pytestmark = pytest.mark.hardware
+pytest.importorskip("serial", reason="serial lines need pyserial: pip install 'robot-control-stack[leader]'")
+pytest.importorskip("scservo_sdk", reason="an SO101 needs feetech-servo-sdk: pip install 'robot-control-stack[leader]'")
 
 KINDS = pytest.mark.parametrize("kind", ["feetech", "dynamixel"])
 MOST = {"feetech": 150, "dynamixel": 150}
