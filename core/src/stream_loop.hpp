@@ -25,6 +25,8 @@ namespace rcs {
 inline constexpr double kPatience = 1.5;
 // How long `recover` and `guide` wait for the arm's thread besides what the vendor's functions take [s].
 inline constexpr double kAnswerTime = 2.0;
+// How long an arm may take to come to rest [s] when it is closed; one that its controller brakes is then stopped.
+inline constexpr double kBrakingTime = 1.0;
 
 inline MotionLimits motion_limits(const std::string& name, const ArmLimits& limits) {
   if (limits.joint_acceleration.empty() || limits.joint_jerk.empty())
@@ -63,7 +65,7 @@ struct StreamedArm::Loop {
     gave_way = is_asked = is_braking = false;
     kind = CommandKind::joints;
     done = taken_holds = 0;
-    last_tick = kForever;
+    last_tick = closing_since = kForever;
     arm.connect();
     read();
     publish();
@@ -145,7 +147,9 @@ struct StreamedArm::Loop {
     publish();
     if (stands()) rested = taken_holds;
     if (!is_closing) return true;
-    if (is_led && stands()) {
+    closing_since = std::min(closing_since, last_tick.load());
+    const bool is_overdue = kind != CommandKind::joints && last_tick - closing_since > kBrakingTime;
+    if (is_led && (stands() || is_overdue)) {
       is_led = false;
       try_to("stop", [this] { arm.stop(); });
     }
@@ -385,7 +389,8 @@ struct StreamedArm::Loop {
   std::thread thread;
   std::atomic<std::thread::id> thread_id;
   unsigned forked = 0;
-  double next = 0.0;  // s, when the next tick is
+  double next = 0.0;                  // s, when the next tick is
+  double closing_since = kForever;    // s
   ArmState measured;
   double deadline = kForever;
   std::uint64_t done = 0, taken_holds = 0;

@@ -15,8 +15,6 @@ namespace {
 
 // At rest, for arrival: ten times above what a servo jitters [rad/s].
 constexpr double kVelocityTolerance = 1e-2;
-// How long a program that ends waits for its arms to brake [s].
-constexpr double kBrakingTime = 1.0;
 
 constexpr const char* kLost = "the link to the controller is lost";
 

@@ -32,6 +32,24 @@ class Mover(Servo):
         return self.braked >= 10
 
 
+class Restless(Mover):
+    """A mover whose controller never says that it stands."""
+
+    def _brake_other(self) -> bool:
+        return False
+
+
+def test_an_arm_that_never_comes_to_rest_is_stopped_when_it_is_closed() -> None:
+    arm = Restless().open_and_wait()
+    arm.command_velocities(np.array([0.5, 0.0, 0.0]))
+    arm.advance(10)
+    arm.run_freely()
+    began = time.monotonic()
+    arm.close()
+    assert "stop" in arm.calls
+    assert 0.9 < time.monotonic() - began < 10.0
+
+
 def test_other_commands_go_to_the_arm_as_they_are_in_every_tick() -> None:
     with Mover().open_and_wait() as arm:
         assert arm.commands() == {CommandKind.joints, CommandKind.velocities}

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from rcs.devices import Gripper
-from rcs.errors import DeviceFault, InvalidSetup
+from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.hardware.robotiq import RobotiqDriver, RobotiqGripper
 from rcs.hardware.robotiq_lines import ModbusLine
 from rcs.robots import ROBOTIQ_2F85
@@ -116,6 +116,15 @@ def test_codes_become_words_and_recover_moves_nothing(
     assert gripper.state().opening == pytest.approx(before, abs=0.02)
     go(gripper, 1.0)
     assert gripper.state().opening > 0.97
+
+
+@pytest.mark.hardware
+def test_a_force_that_the_gripper_cannot_be_limited_to_is_refused(gripper: Gripper) -> None:
+    before = gripper.state().opening
+    with pytest.raises(InvalidAction, match="force is 5 N; valid is 20 to 235"):
+        gripper.command_opening(0.0, force=5.0)
+    time.sleep(0.2)
+    assert gripper.state().opening == pytest.approx(before, abs=0.01)
 
 
 @pytest.mark.hardware

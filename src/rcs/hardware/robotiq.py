@@ -17,7 +17,7 @@ from msgspec import Meta
 from rcs_data.options import Record
 
 from rcs.devices import Gripper, GripperState
-from rcs.errors import DeviceFault, InvalidSetup
+from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.hardware.driver import Driver, require_address
 from rcs.hardware.robotiq_lines import ANSWER_TIME, ModbusLine, RobotiqStatus, Transport, UrcapSocket
 from rcs.robots.description import GripperDescription
@@ -167,7 +167,12 @@ class RobotiqGripper(Gripper):
 
     def _command_opening(self, opening: float, force: float | None) -> None:
         wanted = self._force if force is None else force
-        share = min(max((wanted - WEAKEST) / (STRONGEST - WEAKEST), 0.0), 1.0)
+        if wanted < WEAKEST:
+            raise InvalidAction(
+                f"{self.name}: force is {wanted:g} N; valid is {WEAKEST:g} to {self.max_force:g}, as the gripper "
+                "cannot hold more gently."
+            )
+        share = min((wanted - WEAKEST) / (STRONGEST - WEAKEST), 1.0)
         position = round(self._closed_at + opening * (self._open_at - self._closed_at))
         self._order = _Order(position, round(255 * share))
         self._wake.set()
