@@ -389,8 +389,8 @@ struct StreamedArm::Loop {
   std::thread thread;
   std::atomic<std::thread::id> thread_id;
   unsigned forked = 0;
-  double next = 0.0;                  // s, when the next tick is
-  double closing_since = kForever;    // s
+  double next = 0.0;                // s, when the next tick is
+  double closing_since = kForever;  // s
   ArmState measured;
   double deadline = kForever;
   std::uint64_t done = 0, taken_holds = 0;
