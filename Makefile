@@ -191,6 +191,7 @@ $(VENV)/.stamp-drivers: $(VENV)/.stamp-built pyproject.toml Makefile
 	@$(BIN)/python -c "import sys, tomllib; extras = tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']; \
 	  print(*sorted({one for name in sys.argv[1:] for one in extras[name]}), sep='\n')" $(DRIVERS) | \
 	  xargs -d '\n' $(PIP) install -c constraints.txt
+	@tools/system_packages usb $(BIN)/python
 	@touch $@
 
 # One at a time: a virtual robot keeps real time, and so does its driver.

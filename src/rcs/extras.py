@@ -17,11 +17,15 @@ def package_of(extra: str, name: str, purpose: str = "This needs") -> Any:
         purpose: What needs it, as the subject of a sentence with its verb.
 
     Raises:
-        MissingDependency: It is not installed; the message names the extra.
+        MissingDependency: It is not installed, or does not load; the message names the extra, or what is missing.
     """
+    package = name.partition(".")[0]
     try:
         return importlib.import_module(name)
+    except ModuleNotFoundError as err:
+        raise MissingDependency(f"{purpose} {package}: pip install 'robot-control-stack[{extra}]'.") from err
     except ImportError as err:
         raise MissingDependency(
-            f"{purpose} {name.partition('.')[0]}: pip install 'robot-control-stack[{extra}]'."
+            f"{purpose} {package}, which is installed but does not load: {err}. Install the system's package that has "
+            "what it lacks."
         ) from err

@@ -15,7 +15,7 @@ from rcs.hardware.realsense import RealsenseDriver, _in_millimetres
 from rcs.robots.cameras import REALSENSE_D435, USB_WEBCAM
 from rcs.virtual.realsense_recording import write_recording
 
-pytest.importorskip("pyrealsense2", reason="needs the vendor's library, pyrealsense2")
+pytest.importorskip("pyrealsense2", reason="needs the vendor's library and libusb", exc_type=ImportError)
 pytestmark = [pytest.mark.gl, pytest.mark.hardware]
 SIZE, FPS, BEGIN = (320, 240), 30, 1000.0
 MODE = CameraMode(*SIZE, FPS, True)
