@@ -20,9 +20,7 @@ def test_what_is_missing_is_told_with_its_extra() -> None:
         package_of("air", "no_such_wings.feathers", "Flying needs")
 
 
-def test_a_package_that_lacks_something_of_the_system_says_what(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_package_that_lacks_a_library_says_which(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = "libwind.so.0: cannot open shared object file"
     (tmp_path / "broken_wings.py").write_text(f"raise ImportError({words!r})\n", "utf-8")
     monkeypatch.syspath_prepend(tmp_path)
