@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import select
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,6 +37,8 @@ from rcs.virtual.wire import Wire
 
 LONGEST_GAP = 0.25
 """Longest gap in time that is made up; longer ones are skipped, as if the world had stood still [s]."""
+PRIORITY = 20
+"""Real-time priority of the loop where the system permits one; below that of arms' threads."""
 
 ABOUT, JUDGE, LOOK = "about", "judge", "look"
 """Questions: for name, site and setup as JSON; for success of the task since the objects were last placed; and for the
@@ -240,11 +244,8 @@ class VirtualWorld:
 
     def run(self) -> None:
         """Step in real time until `end` is called."""
-        gc.collect()
-        gc.freeze()
-        gc.disable()  # garbage collection takes longer than a tick
-        period, due = 1.0 / self.rate, time.monotonic()
-        try:
+        with _undisturbed():
+            period, due = 1.0 / self.rate, time.monotonic()
             while not self._is_ended:
                 self._listen(due)
                 began = time.monotonic()
@@ -253,8 +254,6 @@ class VirtualWorld:
                 if began - due > LONGEST_GAP:
                     self.log.note("", "gap", seconds=began - due)
                     due = began
-        finally:
-            gc.enable()
 
     def end(self) -> None:
         """Make `run` return; callable from signal handlers and any thread."""
@@ -316,6 +315,22 @@ class VirtualWorld:
     def _wait(self, rest: float) -> float:
         due = [one for robot in self.robots.values() if (one := robot.line.next_due) is not None]
         return min([rest, *(max(one - time.monotonic(), 0.0) for one in due)])
+
+
+@contextmanager
+def _undisturbed() -> Generator[None]:
+    """Keep garbage collection, and other threads where permitted, from delaying this one."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()  # it takes longer than a tick
+    usual, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, usual | os.SCHED_RESET_ON_FORK, parameters)  # only root may clear that flag
+        gc.enable()
 
 
 def usual_setup(robot: str) -> Setup:
