@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 FLUSH = 0.25
 """Longest time for which log entries stay in memory [s]."""
+ROWS = 1024
+"""Largest number of rows of a file that stay in memory."""
 
 
 def tick_type(dof: int) -> np.dtype[np.void]:
@@ -96,10 +98,11 @@ class RobotLog:
         if path is not None:
             self._text = path.open("w", encoding="utf-8")
             kinds = {"ticks": tick_type, "points": point_type}
-            each = [(name, what) for name in dofs for what in kinds]
-            self._kinds = {(name, what): kinds[what](dofs[name]) for name, what in each}
-            self._files = {(name, what): _beside(path, name, what).open("wb") for name, what in each}
-            self._rows: dict[tuple[str, str], list[tuple[Any, ...]]] = {one: [] for one in each}
+            self._tables = {
+                (name, what): _Table(_beside(path, name, what), kind(dof))
+                for name, dof in dofs.items()
+                for what, kind in kinds.items()
+            }
             self.note("", "start", dof=dict(dofs), **about)
 
     def note(self, robot: str, event: str, **values: Any) -> None:
@@ -112,22 +115,20 @@ class RobotLog:
     def tick(self, robot: str, row: tuple[Any, ...]) -> None:
         """Log a tick with the fields of `tick_type`."""
         if self._text is not None:
-            self._rows[robot, "ticks"].append(row)
+            self._tables[robot, "ticks"].append(row)
 
     def point(self, robot: str, joints: ArrayLike, torques: ArrayLike) -> None:
         """Log a received setpoint: joints [rad] or torques [N·m], and NaN for the others."""
         if self._text is not None:
-            self._rows[robot, "points"].append((time.monotonic(), joints, torques))
+            self._tables[robot, "points"].append((time.monotonic(), joints, torques))
 
     def flush(self, now: float) -> None:
         """Write the entries that have waited for `FLUSH` seconds."""
         if self._text is None or now < self._next_flush:
             return
         self._next_flush = now + FLUSH
-        for one, rows in self._rows.items():
-            self._files[one].write(np.array(rows, self._kinds[one]).tobytes())
-            self._files[one].flush()
-            rows.clear()
+        for table in self._tables.values():
+            table.flush()
 
     def close(self) -> None:
         """Write the remaining entries; closing twice is harmless."""
@@ -135,6 +136,28 @@ class RobotLog:
             self._next_flush = 0.0
             self.flush(0.0)
             self._text.close()
-            for file in self._files.values():
-                file.close()
+            for table in self._tables.values():
+                table.close()
             self._text = None
+
+
+class _Table:
+    """Rows on their way into a file; each is converted when it comes, so that no tick has to convert many."""
+
+    def __init__(self, path: Path, kind: np.dtype[np.void]) -> None:
+        self._file = path.open("wb")
+        self._rows, self._count = np.empty(ROWS, kind), 0
+
+    def append(self, row: tuple[Any, ...]) -> None:
+        if self._count == ROWS:
+            self.flush()
+        self._rows[self._count] = row
+        self._count += 1
+
+    def flush(self) -> None:
+        self._file.write(self._rows[: self._count].tobytes())
+        self._file.flush()
+        self._count = 0
+
+    def close(self) -> None:
+        self._file.close()
