@@ -46,6 +46,19 @@ os._exit(0)
 """
 
 
+LOADING = WORKER.replace("    for i in range(count):", "    before = set(sys.modules)\n    for i in range(count):") + """
+print(*(set(sys.modules) - before))
+"""
+
+
+def test_no_package_is_loaded_in_mid_episode(tmp_path: Path, make_info: MakeInfo) -> None:
+    pytest.importorskip("pandas", reason="pyarrow loads it where it is installed")
+    with DatasetWriter.open(tmp_path, make_info()):
+        words = [sys.executable, "-c", LOADING, str(tmp_path), "a", "1"]
+        loaded = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
+    assert not [name for name in loaded if name.partition(".")[0] in ("pandas", "pyarrow")]
+
+
 def test_a_resumed_dataset_keeps_what_it_had(tmp_path: Path, make_info: MakeInfo, record: Record) -> None:
     with DatasetWriter.open(tmp_path, make_info()) as writer:
         record(writer, "a")
