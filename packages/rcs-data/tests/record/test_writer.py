@@ -46,9 +46,12 @@ os._exit(0)
 """
 
 
-LOADING = WORKER.replace("    for i in range(count):", "    before = set(sys.modules)\n    for i in range(count):") + """
+LOADING = (
+    WORKER.replace("    for i in range(count):", "    before = set(sys.modules)\n    for i in range(count):")
+    + """
 print(*(set(sys.modules) - before))
 """
+)
 
 
 def test_no_package_is_loaded_in_mid_episode(tmp_path: Path, make_info: MakeInfo) -> None:
