@@ -19,7 +19,7 @@ import rcs
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.hardware import DeviceAddress
 from rcs.hardware.servo_bus import ServoBus
-from rcs.hardware.so101 import So101Arm, So101Driver, So101Gripper
+from rcs.hardware.so101 import FRESH, So101Arm, So101Driver, So101Gripper
 from rcs.hardware.so101_servos import GRIPPER, NAMES, read_calibration
 from rcs.robots.so101 import SO101, SO101_GRIPPER
 from rcs.virtual import VirtualProcess, read_events, read_points, read_ticks
@@ -292,6 +292,7 @@ def test_a_cable_that_was_out_is_found_again_by_recover(tmp_path):
         switch_on(arm)
     wait_until(lambda: arm.fault != "")
     assert "has disappeared" in arm.fault
+    time.sleep(FRESH)  # until then, the gripper takes the arm's last reading
     with pytest.raises(DeviceFault, match="has disappeared"):
         gripper.state()
     assert not recovers(arm)
