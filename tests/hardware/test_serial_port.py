@@ -31,14 +31,21 @@ def test_a_port_is_locked_until_its_file_is_closed(port: str) -> None:
     os.close(claim(port, "servo bus"))
 
 
-def test_the_program_that_has_a_port_is_named(port: str) -> None:
+def test_the_program_that_has_a_port_is_named_however_deep_its_python_lies(port: str, tmp_path: Path) -> None:
+    python = tmp_path / ("deep" * 20) / "python"
+    python.parent.mkdir()
+    python.symlink_to(sys.executable)
     code = "import sys; from rcs.hardware.serial_port import claim; claim(sys.argv[1], 'hand'); print(); input()"
     with subprocess.Popen(
-        [sys.executable, "-c", code, port], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [python, "-c", code, port],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     ) as other:
         assert other.stdout is not None
         other.stdout.readline()
-        with pytest.raises(DeviceFault, match=rf"in use by process {other.pid} \(.*serial_port"):
+        with pytest.raises(DeviceFault, match=rf"in use by process {other.pid} \(python -c .*serial_port"):
             claim(port, "hand")
         other.communicate("\n")
 

@@ -9,10 +9,14 @@ LONGEST = 80
 
 
 def program_of(process: int | str) -> str:
-    """Return a process with its command, such as `process 4711 (python collect.py)`."""
+    """Return a process with its command, such as `process 4711 (python collect.py)`.
+
+    The folder of the executable is left out: a long one would leave no room for what the process runs.
+    """
     try:
-        words = Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+        executable, *arguments = Path(f"/proc/{process}/cmdline").read_bytes().decode(errors="replace").split("\0")
     except OSError:  # it has ended
-        words = ""
+        executable, arguments = "", []
+    words = " ".join([executable.rpartition("/")[2], *arguments]).strip()
     words = words if len(words) <= LONGEST else f"{words[: LONGEST - 3]}..."
     return f"process {process} ({words})" if words else f"process {process}"
