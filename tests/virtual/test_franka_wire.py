@@ -311,6 +311,20 @@ def test_joints_that_jump_are_refused_by_name(name, joints):
     assert any(name in error.name for error in errors)
 
 
+@pytest.mark.parametrize(
+    ("mode", "fields"),
+    [
+        (GeneratorMode.JOINT_POSITION, {"q_c": np.nan}),
+        (GeneratorMode.JOINT_VELOCITY, {"dq_c": np.nan}),
+        (GeneratorMode.CARTESIAN_POSITION, {"O_T_EE_c": np.nan}),
+        (GeneratorMode.CARTESIAN_VELOCITY, {"O_dP_EE_c": np.nan}),
+        (GeneratorMode.CARTESIAN_VELOCITY, {"elbow_c": np.nan, "valid_elbow": 1}),
+    ],
+)
+def test_values_that_are_no_numbers_are_errors(mode, fields):
+    assert generator_at(mode).take(a_command(**fields))
+
+
 def test_joints_that_leave_their_range_or_near_its_end_too_fast_are_refused():
     generator = generator_at(GeneratorMode.JOINT_VELOCITY, [0, 1.7836, 0, -2, 0, 2, 0])
     names: set[str] = set()

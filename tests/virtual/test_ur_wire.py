@@ -204,6 +204,16 @@ def test_two_kinds_of_motion_at_once_end_the_program(robot: Robot) -> None:
     assert client.outputs()["output_int_register_0"] == READY  # of the program that has ended
 
 
+@pytest.mark.parametrize("command", [1, 3, 9, 10, 11, 24])
+def test_arguments_that_are_no_numbers_end_the_program_and_move_nothing(robot: Robot, command: int) -> None:
+    client = Commander(robot)
+    client.command(command, *[np.nan] * 6, 0.1, 0.1, 0.0, 0.1, 100.0)
+    before = robot.body.joints
+    robot.pass_time(0.2)
+    assert not robot.wire.controller.is_running
+    assert robot.body.joints == pytest.approx(before, abs=1e-4)
+
+
 def test_a_program_of_which_nothing_is_heard_is_ended_by_its_watchdog(robot: Robot) -> None:
     client = Commander(robot, "target_qd")
     client.execute(35, 20.0)

@@ -241,6 +241,19 @@ def test_torques_push_and_braking_stops_within_the_limits(tmp_path):
     assert np.abs(np.diff(led, 2, axis=0)).max() / 0.002**2 <= 1.01 * max(robot.about.acceleration_limit)
 
 
+def test_an_arm_that_is_led_to_no_number_brakes_within_the_limits(tmp_path):
+    with world_of(log=tmp_path / "log.jsonl") as world:
+        robot, wire = world.robots["so101"], world.wires["so101"]
+        time.sleep(0.3)
+        wire.time = np.nan
+        time.sleep(0.4)
+        assert np.abs(robot.velocities).max() < 0.02
+    led = read_ticks(tmp_path / "log.jsonl")["commanded"]
+    assert np.abs(np.diff(led, 2, axis=0)[5:]).max() / 0.002**2 <= 1.01 * max(robot.about.acceleration_limit)
+    events = [event["event"] for event in read_events(tmp_path / "log.jsonl")]
+    assert events.count("not_finite") == 1
+
+
 def test_the_gripper_moves_at_its_speed_and_grasps_with_its_force():
     with world_of() as world:
         robot = world.robots["so101"]

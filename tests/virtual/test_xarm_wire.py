@@ -278,6 +278,24 @@ def test_an_unknown_command_is_refused_with_a_warning(robot: Robot) -> None:
     assert robot.ask(SERVO_JOINTS, b"\0\0")[0] & REFUSED  # half a point
 
 
+@pytest.mark.parametrize(
+    ("function", "values"),
+    [
+        (ENABLE, b"\x00\x01"),
+        (ENABLE, b"\x09\x01"),
+        (SERVO_TCP, floats([np.nan] * 6)),
+        (SET_TOOL, floats([np.inf] * 6)),
+    ],
+)
+def test_values_that_make_no_sense_are_refused_and_change_nothing(robot: Robot, function: int, values: bytes) -> None:
+    robot.start()
+    before = robot.joints()
+    assert robot.ask(function, values) == (REFUSED, b"")
+    robot.pass_time(0.1)
+    assert robot.ask(GET_STATE) == (0, bytes([READY]))
+    assert robot.joints() == pytest.approx(before, abs=1e-3)
+
+
 @pytest.mark.parametrize(("port", "size"), [(30001, 145), (30002, 288), (30003, 87)])
 def test_reports_have_the_layout_of_the_manual(robot: Robot, port: int, size: int) -> None:
     with socket.create_connection((ADDRESS, port)) as listener:

@@ -108,6 +108,8 @@ class MotionGenerator:
                 twist = way / PERIOD
             else:
                 twist = np.array(command["O_dP_EE_c"])
+                if not np.isfinite(twist).all():
+                    return [Error.CARTESIAN_MOTION_GENERATOR_VELOCITY_LIMITS_VIOLATION]
                 turn = Pose.from_rotvec((0.0, 0.0, 0.0), twist[3:] * PERIOD) * Pose((0, 0, 0), self.pose.quaternion)
                 pose = Pose(self.pose.translation + twist[:3] * PERIOD, turn.quaternion)
             errors += self._check_twist(twist)
@@ -141,7 +143,7 @@ class MotionGenerator:
         jerks = (accelerations - self.accelerations) / PERIOD
         slowest, fastest = velocity_bounds(self._arm, self.joints)
         broken = (
-            (joints < self._arm.joint_lower) | (joints > self._arm.joint_upper),
+            ~((joints >= self._arm.joint_lower) & (joints <= self._arm.joint_upper)),  # NaN, too
             (velocities < TOLERANCE * slowest - 1e-3) | (velocities > TOLERANCE * fastest + 1e-3),
             np.abs(accelerations) > TOLERANCE * np.array(self._arm.acceleration_limit),
             np.abs(jerks) > JERK_TOLERANCE * np.array(self._arm.jerk_limit),

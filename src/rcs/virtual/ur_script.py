@@ -59,18 +59,29 @@ class ControlScript:
         except ProgramError as err:
             self._controller.end_program(str(err))
 
-    def _doubles(self, first: int, count: int) -> Vector:
-        """Return double input registers, shape (count,)."""
+    def _arguments(self, count: int) -> Vector:
+        """Return the first arguments of a command, shape (count,).
+
+        Raises:
+            ProgramError: Some are not finite.
+        """
+        values = self._doubles(count)
+        if not np.isfinite(values).all():
+            raise ProgramError(f"the arguments of a command are not finite: {values.tolist()}")
+        return values
+
+    def _doubles(self, count: int) -> Vector:
+        """Return the first double input registers, shape (count,)."""
         registers = self._rtde.registers
-        return np.array([registers[f"input_double_register_{i}"] for i in range(first, first + count)])
+        return np.array([registers[f"input_double_register_{i}"] for i in range(count)])
 
     def _log_point(self) -> None:
         if self._rtde.registers["input_int_register_0"] == 11:
-            self._controller.robot.log_point(joints=self._doubles(0, 6))
+            self._controller.robot.log_point(joints=self._doubles(6))
 
     def _start_real_time(self, program: Program, command: int) -> None:
         """Start a command that the client repeats at any rate."""
-        values = self._doubles(0, 11)
+        values = self._arguments(11)
         allowed = Servo if command in (11, 24) else SpeedJoints | SpeedTcp
         if program.move is not None and not isinstance(program.move, allowed):
             raise ProgramError("Another thread is already controlling the robot")
@@ -97,7 +108,7 @@ class ControlScript:
         Raises:
             ProgramError: The command does not exist or cannot be executed.
         """
-        values = self._doubles(0, 14)
+        values = self._arguments(14)
         now = self._controller.reference.joints
         match command:
             case 1 | 2 | 3 | 4:

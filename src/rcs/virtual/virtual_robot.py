@@ -143,18 +143,25 @@ class VirtualRobot:
     ) -> None:
         """Set the servos' reference for the end of the next tick.
 
-        With velocities and accelerations, the servos do not lag, like in the simulation's own motions.
+        With velocities and accelerations, the servos do not lag, like in the simulation's own motions. The robot brakes
+        for values that are not finite.
 
         Args:
             joints: Positions [rad].
             velocities: Velocities [rad/s]; None for 0, with which the servos lag.
             accelerations: Accelerations [rad/s²]; None for 0.
         """
+        position = np.array(joints, np.float64)
+        velocity = np.zeros_like(position) if velocities is None else np.array(velocities, np.float64)
+        acceleration = None if accelerations is None else np.array(accelerations, np.float64)
+        if not np.isfinite(position + velocity + (0.0 if acceleration is None else acceleration)).all():
+            if not self._is_braking:
+                self.note("not_finite", joints=str(position))
+            self.brake()
+            return
         self._stop_pushing()
         self._is_braking = False
-        self._position = np.array(joints, np.float64)
-        self._velocity = np.zeros_like(self._position) if velocities is None else np.array(velocities, np.float64)
-        self._acceleration = None if accelerations is None else np.array(accelerations, np.float64)
+        self._position, self._velocity, self._acceleration = position, velocity, acceleration
         self._is_led = True
 
     def push(self, torques: ArrayLike) -> None:

@@ -279,15 +279,15 @@ class XarmWire(Wire):
                 self._warning = NO_SUCH_FUNCTION
                 raise _Refusal
             found = self._functions[function](values)
-        except (_Refusal, struct.error, IndexError):
+        except (_Refusal, struct.error, IndexError, ValueError):  # as for a pose that is not finite
             refused = REFUSED
         flags = refused | (HAS_ERROR if self._error else 0) | (HAS_WARNING if self._warning else 0)
         return bytes([flags | (0 if self._is_ready else NOT_READY)]) + found
 
     def _enable(self, values: bytes) -> bytes:
-        joints = 0x7F if values[0] == 8 else 1 << (values[0] - 1)
-        if self._error and values[1]:
+        if not 1 <= values[0] <= 8 or (self._error and values[1]):
             raise _Refusal
+        joints = 0x7F if values[0] == 8 else 1 << (values[0] - 1)
         self._enabled = self._enabled | joints if values[1] else self._enabled & ~joints
         if not values[1]:
             self._stop(State.STOPPED)
