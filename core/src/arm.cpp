@@ -39,8 +39,8 @@ Arm::Arm(std::string name, ArmLimits limits, std::set<CommandKind> more_commands
       throw InvalidSetup(this->name() + ": limits of acceleration, jerk and effort need a positive value per joint, " +
                          "or none where they are unknown");
   }
-  measured_ = target_ = lower_ = limits_.joint_lower;
-  upper_ = limits_.joint_upper;
+  target_ = least_ = lower_ = limits_.joint_lower;
+  most_ = upper_ = limits_.joint_upper;
 }
 
 ArmState Arm::state() {
@@ -62,19 +62,25 @@ ArmState Arm::state() {
   check("a wrench", state.wrench, 6);
   require_past("its state", state.time);
   if (std::isnan(state.time)) state.time = monotonic_time();
-  measured_ = state.joints;
+  if (is_commanded_) least_ = most_ = state.joints;
+  is_commanded_ = false;
+  for (std::size_t i = 0; i < n; ++i) {
+    least_[i] = std::min(least_[i], state.joints[i]);
+    most_[i] = std::max(most_[i], state.joints[i]);
+  }
   return state;
 }
 
 void Arm::command_joints(std::span<const double> joints, double valid_for) {
   command("command_joints", valid_for, [&] {
     for (std::size_t i = 0; i < limits_.joint_lower.size(); ++i) {
-      lower_[i] = std::min({limits_.joint_lower[i], measured_[i], target_[i]});
-      upper_[i] = std::max({limits_.joint_upper[i], measured_[i], target_[i]});
+      lower_[i] = std::min({limits_.joint_lower[i], least_[i], target_[i]});
+      upper_[i] = std::max({limits_.joint_upper[i], most_[i], target_[i]});
     }
     check_command(name(), "joints", joints, lower_, upper_);
     driven("command_joints", [&] { do_command_joints(joints); });
     target_.assign(joints.begin(), joints.end());
+    is_commanded_ = true;
   });
 }
 

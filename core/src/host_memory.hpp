@@ -4,10 +4,13 @@
 
 #include <array>
 #include <atomic>
+#include <chrono>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
 #include <string>
+#include <thread>
 #include <type_traits>
 
 #include "rcs/hosted.hpp"
@@ -41,19 +44,29 @@ class Guarded {
     std::memcpy(&value_, &value, sizeof(T));
     number_.store(number + 2, std::memory_order_release);
   }
-  /// False when the writer ended in the middle of writing.
+  /// False when the writer ended in the middle of writing. One that other threads keep from running is waited for.
   bool read(T& value) const {
-    for (int tries = 0; tries < 100000; ++tries) {
+    double limit = kNaN;
+    for (int tries = 0;; ++tries) {
       const std::uint32_t number = number_.load(std::memory_order_acquire);
-      if (number % 2 != 0) continue;
-      std::memcpy(&value, &value_, sizeof(T));
-      std::atomic_thread_fence(std::memory_order_acquire);
-      if (number_.load(std::memory_order_relaxed) == number) return true;
+      if (number % 2 == 0) {
+        std::memcpy(&value, &value_, sizeof(T));
+        std::atomic_thread_fence(std::memory_order_acquire);
+        if (number_.load(std::memory_order_relaxed) == number) return true;
+      }
+      if (tries < kQuickTries) continue;
+      const double now = monotonic_time();
+      if (std::isnan(limit)) limit = now + kWriting;
+      if (now > limit) return false;
+      std::this_thread::sleep_for(std::chrono::microseconds(20));
     }
-    return false;
   }
 
  private:
+  static constexpr int kQuickTries = 1000;
+  /// Longest time in which a value is written [s].
+  static constexpr double kWriting = 0.5;
+
   std::atomic<std::uint32_t> number_;
   T value_;
 };

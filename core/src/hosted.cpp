@@ -96,7 +96,10 @@ class HostLink {
   HostAnswer ask(HostCall call, std::span<const double> values = {}, double valid_for = kForever, double force = kNaN,
                  double period = 0.0) {
     const bool is_command = call <= HostCall::opening;
-    if (!is_command) await_end(asked_, kForever);
+    if (!is_command) {
+      await_end(asked_, kForever);
+      tell_of_late_answer();  // before the answer to this one takes its place
+    }
     HostAsked asked{};
     asked.number = ++asked_;
     asked.stops = memory_->stops;
@@ -245,18 +248,19 @@ class HostLink {
   void tell_of_fault() {
     const std::uint32_t now = memory_->changes_of_fault;
     if (now == seen_ || is_recovering_) return;
-    seen_ = now;
     HostText<512> fault{};
-    if (memory_->fault.read(fault) && fault.characters[0] != '\0') tell(device_, fault.get());
+    if (!memory_->fault.read(fault)) return;
+    seen_ = now;
+    if (fault.characters[0] != '\0') tell(device_, fault.get());
   }
 
   void tell_of_late_answer() {
-    const std::uint32_t late = late_;
+    std::uint32_t late = late_;
     HostAnswer answer{};
     if (late == 0 || !has_come(memory_->done, late)) return;
     if (memory_->answer.read(answer) && answer.number == late && answer.outcome != HostOutcome::done)
       tell(device_, "a command was refused late: " + answer.text.get());
-    late_ = 0;
+    late_.compare_exchange_strong(late, 0);
   }
 
   Device& device_;

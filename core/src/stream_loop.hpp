@@ -59,13 +59,14 @@ struct StreamedArm::Loop {
   void begin() {
     for (auto* count : {&sent, &held, &holds, &rested, &ticks, &missed, &lapses}) *count = 0;
     leader.forget_counts();
-    is_led = is_closing = is_abandoned = false;
+    is_led = is_closing = is_abandoned = is_starting = false;
     real_time.forget();
     is_reading = true;
     gave_way = is_asked = is_braking = false;
     kind = CommandKind::joints;
     done = taken_holds = 0;
     last_tick = closing_since = kForever;
+    orders.take();  // what came too late before the last close
     arm.connect();
     read();
     publish();
@@ -145,6 +146,7 @@ struct StreamedArm::Loop {
     take_orders();
     if (is_led) kind == CommandKind::joints ? lead() : lead_otherwise();
     publish();
+    is_starting = false;  // what is published is new again
     if (stands()) rested = taken_holds;
     if (!is_closing) return true;
     closing_since = std::min(closing_since, last_tick.load());
@@ -245,6 +247,9 @@ struct StreamedArm::Loop {
     try {
       take_time([&] {
         if (what == Request::give_way) {
+          // What came before ends with it. A hold that comes meanwhile is made again by `Device::command`.
+          done = sent;
+          taken_holds = holds;
           is_led = is_asked = false;
           arm.give_way();
           gave_way = true;
@@ -314,9 +319,7 @@ struct StreamedArm::Loop {
 
   bool start() {
     is_starting = true;
-    const bool has_started = try_to("start", [this] { stand_up(); });
-    is_starting = false;
-    return has_started;
+    return try_to("start", [this] { stand_up(); });
   }
 
   // From here on the arm is led, at first to where it is.
@@ -379,7 +382,7 @@ struct StreamedArm::Loop {
   std::atomic<std::uint64_t> rested = 0;  // of these, the last one after which the arm stood still
   std::atomic<std::uint64_t> ticks = 0, missed = 0, lapses = 0;
   std::atomic<bool> is_running = false, is_led = false, is_closing = false, is_reading = true;
-  std::atomic<bool> is_starting = false;   // for a command that was near
+  std::atomic<bool> is_starting = false;   // for a command that was near, until the next measurement is published
   std::atomic<bool> is_breaking = false;   // it has stopped, and its fault is about to be set
   std::atomic<bool> is_abandoned = false;  // another thread stopped it because it did not answer
   RealTime real_time;

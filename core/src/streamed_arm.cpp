@@ -69,7 +69,10 @@ ArmState StreamedArm::do_state() {
   if (!loop_->is_reading) fail(kLost);
   if (loop_->silence() > options_.silence) fail(loop_->silent_text());
   const std::lock_guard lock(loop_->user);
-  return loop_->seen.take().state;
+  const bool is_starting = loop_->is_starting;
+  ArmState state = loop_->seen.take().state;
+  if (is_starting) state.mode = "starting";
+  return state;
 }
 
 void StreamedArm::do_command_joints(std::span<const double> joints) {

@@ -234,6 +234,24 @@ void a_person_guides_the_arm_until_it_is_held() {
   CHECK_NEAR(arm.points.back().position[0], 0.7, 0.0);
 }
 
+void what_came_right_before_guiding_ends_with_it() {
+  rcs::StreamOptions options;
+  options.rate = 10.0;
+  options.period = 0.1;
+  options.missed_ticks = 10000;
+  for (const auto& before : {+[](Servo& arm) { arm.hold(); }, +[](Servo& arm) { arm.recover(); },
+                             +[](Servo& arm) { arm.command_joints(arm.joints); }}) {
+    Servo arm(options);
+    arm.open();
+    std::this_thread::sleep_for(30ms);  // between two ticks
+    before(arm);
+    arm.guide(true);
+    std::this_thread::sleep_for(300ms);
+    CHECK(arm.is_guided() && arm.starts == 0 && arm.points.empty());
+    arm.close();
+  }
+}
+
 }  // namespace
 
 int main() {
@@ -246,5 +264,6 @@ int main() {
   an_arm_that_is_found_outside_of_its_range_comes_back_slowly();
   an_arm_that_is_found_in_the_margin_may_stay_there();
   a_person_guides_the_arm_until_it_is_held();
+  what_came_right_before_guiding_ends_with_it();
   return rcs::test::result();
 }

@@ -118,6 +118,23 @@ def test_a_joint_that_was_found_outside_its_limits_may_stay_and_come_back_and_go
     arm.close()
 
 
+def test_a_joint_outside_may_be_sent_where_it_was_measured_before_its_encoder_made_a_step(
+    limits: ArmLimits, clock
+) -> None:
+    arm = FakeArm(limits, clock=clock, start=np.array([1.3, 0.0, 0.0]))
+    arm.open()
+    measured = arm.state().joints
+    for joint in (1.2985, 1.3015):  # as a host measures while its program computes
+        arm.body.values[0] = joint
+        arm.state()
+    arm.command_joints(measured)
+    arm.body.values[0] = 1.2985
+    arm.state()
+    with pytest.raises(InvalidAction, match=r"valid is -1 to 1\.3"):
+        arm.command_joints(np.array([1.3015, 0.0, 0.0]))
+    arm.close()
+
+
 def test_a_fake_camera_repeats_its_frame_until_the_next_one_is_due(clock) -> None:
     camera = FakeCamera(CameraMode(16, 4, 30.0), clock=clock)
     camera.open()

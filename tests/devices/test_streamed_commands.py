@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rcs
 from rcs.devices import ArmLimits, ArmState, CommandKind, StreamedArm, StreamOptions, StreamPoint
+from rcs.devices.fakes import FakeGripper
 from rcs.errors import DeviceFault, InvalidAction
-from rcs.robots import SO101
+from rcs.hardware import Site
+from rcs.robots import FR3, SO101
 from tests.devices.servo import START, Servo, await_fault
 
 
@@ -153,6 +156,40 @@ def test_commands_go_on_while_the_first_one_starts_an_arm_that_takes_its_time() 
             time.sleep(0.01)
         assert arm.joints == pytest.approx(START + 0.3, abs=1e-6)
         assert np.abs(np.diff([point.position for point in arm.points], axis=0)).max() <= 3.0 / 250 + 1e-9
+
+
+def test_an_arm_that_is_being_switched_on_measures_nothing_and_says_so() -> None:
+    class Slow(Servo):
+        def _start(self) -> None:
+            super()._start()
+            time.sleep(0.6)
+
+    limits = ArmLimits(FR3.joint_lower, FR3.joint_upper, FR3.velocity_limit, [10.0] * 7, [500.0] * 7)
+    arm = Slow(limits, FR3.home)
+    site = Site(arms={"fr3": arm}, grippers={"fr3": FakeGripper()})
+    with rcs.make("Free", hardware=site) as env:
+        env.reset(seed=0)
+        modes = set()
+        for _ in range(30):
+            *_, truncated, info = env.step({"joints": np.zeros(7), "gripper": np.ones(1)})
+            modes.add(arm.state().mode)
+            assert not truncated, info
+        assert modes == {"starting", ""}
+
+
+def test_a_command_that_came_too_late_before_a_close_moves_nothing_after_the_next_open() -> None:
+    arm = Servo(rate=10.0, period=0.1)
+    arm.open()
+    time.sleep(0.03)  # between two ticks
+    arm.command_joints(START + 0.15)
+    arm.close()
+    with arm:
+        time.sleep(0.3)
+        assert "start" not in arm.calls
+        assert not arm.points
+        arm.command_joints(START)
+        time.sleep(0.3)
+        assert arm.has_arrived()
 
 
 @pytest.mark.parametrize(("rate", "period"), [(100.0, 1 / 90), (500.0, 1 / 90), (100.0, 1 / 30), (1000.0, 1 / 30)])

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rcs
-from rcs.devices import ArmLimits
+from rcs.devices import ArmLimits, ArmState
 from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.envs.assemble import assemble
 from rcs.envs.control_layers import RETURN_SPEED
@@ -158,6 +158,38 @@ def test_an_arm_found_outside_its_range_may_stay(clock: Any, options: dict[str, 
         observation, *_, info = hall.env.step(hall.act(**{options["control"]: nothing}))
         assert "refused" not in info
     np.testing.assert_allclose(observation["joints"], outside(by), atol=1e-9)
+    hall.env.close()
+
+
+class Trembling(LoggedArm):
+    """Measures a joint that is outside its range at other steps of its encoder each time."""
+
+    STEP = 2 * np.pi / 4096
+    number = 0
+
+    def _state(self) -> Any:
+        state = super()._state()
+        self.number += 1
+        joints = np.array(state.joints)
+        joints[1] += self.STEP * (self.number % 3)
+        return ArmState(list(joints), state.joint_velocities, device_time=state.device_time)
+
+
+@pytest.mark.parametrize("options", CONTROLS, ids=str)
+def test_an_arm_found_outside_may_stay_while_its_encoder_trembles(clock: Any, options: dict[str, Any]) -> None:
+    own = {name: value for name, value in options.items() if name != "gated"}
+    hall = Hall(clock, limits(SO101), outside(0.05), robot="so101", **own)
+    hall.arm.__class__ = Trembling
+    if "gated" in options:
+        hall.env.stack.gates.append(Passes())
+    nothing = np.zeros(hall.env.action_space[options["control"]].shape)
+    for _ in range(6):
+        hall.env.reset(seed=0)
+        *_, info = hall.env.step(hall.act(**{options["control"]: nothing}))
+        assert "refused" not in info
+        hall.env.hold()
+        *_, info = hall.env.step(hall.act(**{options["control"]: nothing}))
+        assert "refused" not in info
     hall.env.close()
 
 

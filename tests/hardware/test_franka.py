@@ -263,6 +263,15 @@ def test_a_hard_stop_by_something_in_the_way_is_a_fault_with_its_direction(robot
         stream(arm, np.linspace(before, start, 60))
 
 
+def test_a_fault_while_an_arm_is_guided_that_was_led_before_is_told(arm: FrankaArm, robot: VirtualProcess):
+    stream(arm, wave(arm)[:5])
+    arm.hold()
+    wait_until(arm.has_arrived)
+    arm.guide(True)
+    robot.tell("user_stop")
+    wait_until(lambda: "user stop" in arm.fault)
+
+
 def test_a_person_guides_the_arm_which_then_stays(arm: FrankaArm):
     assert arm.can_guide
     arm.guide(True)
@@ -369,6 +378,8 @@ def test_fingers_close_while_the_arm_moves_and_nobody_waits_for_them(arm: Franka
         assert hand.state().opening == pytest.approx(0.0, abs=0.02)
         hand.home()
         wait_until(lambda: hand.state().opening > 0.95)
+        hand.command_opening(0.0, 20.0)  # the same as before: the fingers are elsewhere now
+        wait_until(lambda: hand.state().opening < 0.1)
         assert arm.fault == ""
 
 

@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -215,6 +216,25 @@ def test_a_command_that_takes_its_time_keeps_nobody_waiting_and_is_not_carried_o
         assert arm.has_arrived()  # after the pause
         assert taken < 0.14
         np.testing.assert_allclose(arm.state().joints, HOME, atol=1e-9)
+
+
+def test_a_command_that_is_refused_late_is_a_fault_whatever_is_asked_next(tmp_path: Path) -> None:
+    with unruly_arm(tmp_path) as arm:
+        for _ in range(3):
+            drop(tmp_path, "command", "refuse late")
+            arm.command_joints(FAR)
+            with suppress(DeviceFault):
+                arm.has_arrived()
+            wait_for(lambda: "refused late: the first target is 2 rad away" in arm.fault)
+            arm.recover()
+
+
+def test_a_controller_may_take_its_time_to_give_way(tmp_path: Path) -> None:
+    with unruly_arm(tmp_path) as arm:
+        host = arm.host
+        drop(tmp_path, "guide", "settle")
+        arm.guide(True)
+        assert (arm.is_guided, arm.fault, arm.host) == (True, "", host)
 
 
 def test_opening_raises_what_the_driver_raises(tmp_path: Path) -> None:

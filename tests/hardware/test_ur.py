@@ -103,6 +103,15 @@ def test_opening_energises_nothing_and_the_first_command_starts_the_script(virtu
     assert answer("running") == "Program running: false"
 
 
+def test_recover_connects_after_an_earlier_one_failed_while_it_connected(arm: Arm) -> None:
+    arm.set_fault("the link is lost")
+    arm._let_go()  # pyright: ignore[reportAttributeAccessIssue]
+    wait_until(lambda: not is_measured(arm))
+    arm.recover()
+    assert is_measured(arm)
+    assert arm.fault == ""
+
+
 def test_a_first_target_far_away_is_refused_and_nothing_moves(arm: Arm) -> None:
     before = arm.state().joints
     with pytest.raises(InvalidAction, match=r"joint 1 .* 0\.5 rad away"):

@@ -43,6 +43,11 @@ def refuse() -> None:
     raise InvalidAction("the first target is 2 rad away")
 
 
+def refuse_late() -> None:
+    time.sleep(0.05)
+    refuse()
+
+
 DEEDS = {
     "abort": os.abort,
     "crash": lambda: ctypes.string_at(0),
@@ -50,9 +55,11 @@ DEEDS = {
     "hang": lambda: time.sleep(60),
     "keep": lambda: keep_interpreter(60),
     "pause": lambda: time.sleep(0.15),
+    "settle": lambda: time.sleep(0.6),
     "raise": raise_index_error,
     "lack": lack_a_package,
     "refuse": refuse,
+    "refuse late": refuse_late,
 }
 
 
@@ -112,6 +119,10 @@ class Unruly:
 
 
 class UnrulyArm(Unruly, FakeArm):
+    def _guide(self) -> None:
+        self.look("guide")
+        super()._guide()
+
     def _command_joints(self, joints: Any) -> None:
         self.look("command")
         super()._command_joints(joints)

@@ -34,7 +34,8 @@ struct ArmState {
   std::vector<double> commanded_joints{};  ///< rad, where the controller wants the joints to be
   std::vector<double> efforts{};           ///< N·m, at the joints
   std::vector<double> wrench{};            ///< N, N·m, on the TCP, in the frame of the base; 6 values
-  std::string mode{};                      ///< the controller's name for what it is doing
+  /// The controller's name for what it is doing; "starting" while a streamed arm is switched on, and measures nothing.
+  std::string mode{};
 };
 
 /// One manipulator. An implementation in C++ or Python overrides the `do_` functions; users call the others.
@@ -52,7 +53,7 @@ class RCS_API Arm : public Device {
 
   ArmState state();
   /// Joint targets [rad], within the limits. A joint that was found outside may stay there and come back: its target
-  /// may be as far out as where it was measured last, or sent last.
+  /// may be as far out as where it was measured since the last command, or sent by that.
   void command_joints(std::span<const double> joints, double valid_for = kForever);
   /// The goal of the TCP.
   void command_pose(const Pose& pose_tcp_in_base, double valid_for = kForever);
@@ -78,8 +79,12 @@ class RCS_API Arm : public Device {
 
   ArmLimits limits_;
   std::set<CommandKind> commands_;
-  std::vector<double> measured_, target_;  // the last ones [rad]
-  std::vector<double> lower_, upper_;      // what the next target is checked against [rad]
+  std::vector<double> target_;  // the last one [rad]
+  // What was measured since then [rad]: a target may be computed from any measurement, also when a joint that is out of
+  // its range has moved by a step of its encoder since.
+  std::vector<double> least_, most_;
+  bool is_commanded_ = true;           // and nothing was measured since
+  std::vector<double> lower_, upper_;  // what the next target is checked against [rad]
 };
 
 }  // namespace rcs

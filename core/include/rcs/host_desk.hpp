@@ -46,6 +46,7 @@ class HostDesk {
   /// True if the program is still there.
   bool is_used() const { return is_used_; }
   /// Say what is done from now on, and that there is a sign after `seconds` at the latest.
+  /// Two threads must not promise at once; in Python, the GIL sees to it.
   void promise(const char* under_way, double seconds);
   /// The next request, or nothing after `seconds` or when the program has ended.
   std::optional<HostRequest> next(double seconds);
@@ -59,7 +60,6 @@ class HostDesk {
 
  private:
   void watch();
-  void look_after_program();
   void tell_fault();
 
   Device& device_;

@@ -25,7 +25,7 @@ class HostTimes:
     open: float = 3.0
     """Limit for connecting, including the import of the vendor's library [s]."""
     recover: float = 15.0
-    """Limit for leaving a fault state [s]."""
+    """Limit for leaving a fault state, and for giving way to a person's hand [s]."""
     close: float = 3.0
     """Limit for disconnecting [s]."""
     period: float = 0.005

@@ -249,6 +249,7 @@ class FrankaArm(StreamedArm):
         return True
 
     def _guide(self) -> None:
+        self._is_led, self._led = False, None
         self._end_motion()
         motion = self._franky.JointImpedanceTrackingMotion(
             stiffness=[0.0] * 7, damping=GUIDING_DAMPING, max_delta_tau=TORQUE_STEP

@@ -62,6 +62,9 @@ class FrankaHand(Gripper):
         except Exception as err:  # the library's exceptions have no common base class
             self.set_fault(f"homing failed: {err}")
             raise DeviceFault(f"{self.name}: {self.fault}") from err
+        finally:
+            with self._news:
+                self._given = None  # the fingers are elsewhere
 
     def _open(self) -> None:
         franky = package_of("franka", "franky", "The driver franka needs")
@@ -177,6 +180,8 @@ class FrankaHand(Gripper):
             try:
                 self._move(hand, width, force)
             except Exception as err:  # noqa: BLE001 - the library's exceptions have no common base class
+                with self._news:
+                    self._given = None  # the same command is sent again
                 if "aborted" not in str(err) and not ends.is_set():  # by a newer command, or by a hold
                     self._problem = f"the hand has failed to execute a command: {err}"
 

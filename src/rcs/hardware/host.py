@@ -179,6 +179,7 @@ class Host:
 
     def _work(self, device: Arm | Gripper | Hand, desk: HostDesk, times: HostTimes) -> None:
         """Measure and execute the program's requests until it closes the device or ends."""
+        limits = {HostCall.recover: times.recover, HostCall.guide: times.recover, HostCall.close: times.close}
         while desk.is_used and not self._is_ending:
             answer = max(times.answer, self._opening)
             rest = times.period if _measure(device, desk, answer) else FAILED_REST
@@ -188,7 +189,7 @@ class Host:
                 request = desk.next(left)
                 if request is None:
                     break
-                limit = {HostCall.recover: times.recover, HostCall.close: times.close}.get(request.call, answer)
+                limit = limits.get(request.call, answer)
                 desk.promise(request.call.name, limit)
                 _answer(device, desk, request, answer)
                 if request.call is HostCall.close:

@@ -335,6 +335,8 @@ class UrArm(StreamedArm):
         if self._control is not None:
             stop_program(self._address)  # commands from before the fault do not count
         unlock(self._address)
+        if self._receive is None:  # an earlier attempt failed while it connected
+            return self._open()
         # The next values were measured after that, over the old connections if they have survived.
         self._offset = math.inf
         before, until = self._receive.getTimestamp(), time.monotonic() + PATIENCE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -110,6 +111,26 @@ def test_a_fault_on_the_way_stops_all_arms_and_is_told() -> None:
         with pytest.raises(DeviceFault, match="touched something"):
             env.reset(seed=0, options={"robot": THERE, "may_move": True})
         assert len(arm.sent) == 5
+        assert np.abs(arm.body.values - HOME).max() < 0.1
+
+
+def test_an_environment_that_is_closed_on_the_way_stops_all_arms() -> None:
+    arm = TracedArm()
+    command, hold = arm._command_joints, arm._hold
+    held = threading.Event()
+
+    def close_meanwhile(joints: np.ndarray) -> None:
+        command(joints)
+        if len(arm.sent) == 5:
+            threading.Thread(target=env.close).start()
+            assert held.wait(10)
+
+    arm._command_joints = close_meanwhile  # pyright: ignore[reportAttributeAccessIssue]
+    arm._hold = lambda: (hold(), held.set())  # pyright: ignore[reportAttributeAccessIssue]
+    with make(arm) as env:
+        with pytest.raises(Refused):
+            env.reset(seed=0, options={"robot": THERE, "may_move": True})
+        assert len(arm.sent) <= 6
         assert np.abs(arm.body.values - HOME).max() < 0.1
 
 

@@ -34,6 +34,10 @@ CYCLES = 3.0
 """A command of a slow device is valid for at least as many of its cycles: it cannot be repeated sooner."""
 LONGEST_CALL = 2.0
 """How long closing or recovering a device waits for a call that is under way [s]."""
+STARTING = "starting"
+"""Mode of a streamed arm that is being switched on, and measures nothing meanwhile."""
+START_TIME = 10.0
+"""How long an arm may take for that [s]."""
 
 
 class DeviceCalls(Generic[State]):
@@ -232,9 +236,11 @@ class Freshness:
         elif not has_clock and not self._was_led:  # the age counts from here
             self.time, self._was_led = state.time, self._is_led(target)
         age = time.monotonic() - self.time
-        if age > self._stale_after and not self._device.fault:
+        is_starting = isinstance(state, ArmState) and state.mode == STARTING
+        patience = max(START_TIME, self._stale_after) if is_starting else self._stale_after
+        if age > patience and not self._device.fault:
             self._device.set_fault(
-                f"nothing new measured for {age:.2f} s, more than {self._stale_after:g} s; look at the cable and at "
+                f"nothing new measured for {age:.2f} s, more than {patience:g} s; look at the cable and at "
                 "the controller"
             )
 

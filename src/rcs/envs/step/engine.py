@@ -59,7 +59,8 @@ class Engine:
         self._judge = Judge(stack, clock, simulation, max_episode_steps)
         self.observers = Observers(stack, clock, simulation)
         self._resources: list[Callable[[], None]] = [] if simulation is None else [simulation.world.close]
-        self._is_started = False
+        self.is_started = False
+        """Whether episodes go on; if not, the next ones start in all copies."""
         self._broken_off_by = ""
         self._must_rebase = False
         self._is_commanded = False
@@ -87,7 +88,7 @@ class Engine:
             start: Places of robots and objects at the start, of a world of one copy.
             approach: Moves real robots to their start; None for leaving them where they are.
         """
-        copies = copies if self._is_started else None
+        copies = copies if self.is_started else None
         try:
             self._begin(copies)
             if self.simulation is not None and state is not None:
@@ -110,7 +111,7 @@ class Engine:
             self._break_off(err)
             raise
         self._must_rebase = False
-        self._is_started, self._broken_off_by = True, ""
+        self.is_started, self._broken_off_by = True, ""
         info = {} if self.simulation is None else self.simulation.describe()
         info.update(time=self._judge.time(), instruction=np.full(self.leading, self.instruction, object))
         info = info if self.leading else row(info, ...)
@@ -151,7 +152,7 @@ class Engine:
             raise WrongOrder("step was called on a closed environment; make a new one.")
         if self._broken_off_by:
             raise WrongOrder(f"step was called after {self._broken_off_by} broke the episode off; call reset.")
-        if not self._is_started:
+        if not self.is_started:
             raise WrongOrder("step was called before the first reset; call reset.")
 
     # --- A step -------------------------------------------------------------------------------------------------------
@@ -325,10 +326,10 @@ class Engine:
         self._must_rebase = True
         calls: list[Callable[[], None]] = [self.stack.hold]
         # A device that refuses an action is no reason to end the episode: the next one may be better.
-        if not isinstance(error, InvalidAction) and self._is_started and not self._broken_off_by:
+        if not isinstance(error, InvalidAction) and self.is_started and not self._broken_off_by:
             if not self.is_over.all():
                 calls.append(lambda: self.observers.on_end("exception", {type(error).__name__: str(error)}))
-            self._is_started = False
+            self.is_started = False
             self._broken_off_by = type(error).__name__
         try:
             for_all(calls)
@@ -364,9 +365,9 @@ class Engine:
         if not self.is_open:
             return
         self.is_open = False
-        held = [self.stack.hold, self.calls.wait] if self.calls.is_of_another_thread else []
+        held = [self.hold, self.calls.wait] if self.calls.is_of_another_thread else []
         try:
-            if park is not None and self._is_started and not held and not self.stack.faults() and not sys.exc_info()[0]:
+            if park is not None and self.is_started and not held and not self.stack.faults() and not sys.exc_info()[0]:
                 self._approach(park)
         finally:
             for_all([*held, self.stack.close, *self.observers.closes(), *self._resources])

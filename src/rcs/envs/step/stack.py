@@ -146,7 +146,8 @@ class Stack:
     ) -> Nested:
         """Return the answer of a gate, once it is found to be as valid as the targets that the gate was given.
 
-        An arm that was found outside its range may be sent as far out as it is, or as it was sent before.
+        An arm that was found outside its range may be sent as far out as it is, as it was when layers last saw it, or
+        as it was sent before.
 
         Raises:
             Refused: A robot or key is missing or unknown, or a value has another shape, is no number or out of bounds.
@@ -159,7 +160,7 @@ class Stack:
         for name, chain in self.chains.items():
             own = answer.get(name, {})
             try:
-                valid = chain.check_executed(own, measured[name], self._executed[name])
+                valid = chain.check_executed(own, measured[name], self._measured[name], self._executed[name])
             except InvalidAction as err:
                 raise Refused(f"{gate} returned what {name or 'the robot'} cannot be sent: {err}") from err
             # A value that a gate leaves alone stays the same array, by which layers know it.
@@ -236,7 +237,7 @@ class Stack:
         for name in own:
             for port in self.chains[name].ports:
                 port.rebase()
-        measured = self.measure_devices()
+        measured = self._measured = self.measure_devices()
         for name in own:
             self.chains[name].rebase(measured[name])
         for gate in self.gates:

@@ -1,0 +1,41 @@
+// Values in shared memory, which one side writes while the other reads.
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <chrono>
+#include <cstddef>
+#include <memory>
+#include <thread>
+
+#include "../src/host_memory.hpp"
+#include "check.hpp"
+
+namespace {
+
+void a_writer_that_takes_long_is_waited_for() {
+  using Large = std::array<char, std::size_t{32} << 20>;
+  const auto shared = std::make_unique<rcs::Guarded<Large>>();
+  const auto seen = std::make_unique<Large>();
+  std::atomic<bool> ends = false;
+  std::thread writer([&] {
+    const auto value = std::make_unique<Large>();
+    for (char letter = 'a'; !ends; letter = letter == 'z' ? 'a' : static_cast<char>(letter + 1)) {
+      value->fill(letter);
+      shared->write(*value);
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    }
+  });
+  for (int i = 0; i < 20; ++i) {
+    CHECK(shared->read(*seen));
+    CHECK(std::ranges::all_of(*seen, [&](char letter) { return letter == seen->front(); }));
+  }
+  ends = true;
+  writer.join();
+}
+
+}  // namespace
+
+int main() {
+  a_writer_that_takes_long_is_waited_for();
+  return rcs::test::result();
+}
