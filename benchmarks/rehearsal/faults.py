@@ -57,9 +57,9 @@ def words_of(robot: str, kind: str, random: np.random.Generator) -> Words:
 
 def try_fault(one: Stage, env: rcs.Env, words: Words, random: np.random.Generator) -> dict[str, Any]:
     """Cause a fault in motion, recover, and return the measurements."""
-    begin(env)
+    away = begin(env)["joints"] - np.array(lookup.find("arm", one.robot).home)
     shape, steps = env.action_space["joints"].shape, 0
-    most = SPEED * env.action_space["joints"].high
+    most = SPEED * env.action_space["joints"].high * np.where(away > 0.0, -1.0, 1.0)  # never to an end
     at: list[float] = []
     moment = time.monotonic() + random.uniform(0.4, 1.2)
     timer = threading.Timer(moment - time.monotonic(), lambda: (at.append(time.monotonic()), one.virtual.tell(*words)))
@@ -93,14 +93,14 @@ def try_fault(one: Stage, env: rcs.Env, words: Words, random: np.random.Generato
     }
 
 
-def begin(env: rcs.Env) -> None:
-    """Begin an episode, whatever the last one has left."""
+def begin(env: rcs.Env) -> dict[str, Any]:
+    """Begin an episode, whatever the last one has left, and return the first observation."""
     try:
-        env.reset()
+        return env.reset()[0]
     except RcsError:
         time.sleep(1.0)
         recover(env)
-        env.reset()
+        return env.reset()[0]
 
 
 def works(env: rcs.Env) -> str:
