@@ -160,6 +160,24 @@ def test_to_stay_is_to_want_what_is() -> None:
         assert distance(guide.tcp_in_scene, place)[0] < 0.03
 
 
+@pytest.mark.parametrize("is_by_joints", [False, True])
+def test_an_arm_that_is_led_again_before_it_has_braked_begins_where_it_is(is_by_joints: bool) -> None:
+    with quick(control="tquat", relative="absolute") as (session, guide):
+        goal = guide.tcp_in_scene
+        goal[:3] += 0.0, 0.25, -0.1
+        guide.lead_to(goal)
+        run(session, 3.0)
+        guide.brake()
+        place = guide.tcp_in_scene
+        if is_by_joints:
+            guide.lead_joints_to(guide.joints)
+        else:
+            guide.lead_to(place)
+        for _ in range(10):
+            session.step()
+            assert distance(guide.tcp_in_scene, place)[0] < 2e-3
+
+
 def test_the_gripper_opens_as_far_as_it_is_told_and_a_hand_as_a_whole() -> None:
     with quick() as (session, guide):
         guide.opening = 0.4

@@ -8,12 +8,16 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rcs_data.ledger import Ledger
 
 from rcs.cli.main import main
+from rcs.cli.setup_options import Flags
+from rcs.cli.teleop import TeleopCommand
 from rcs.rl.checkpoint import find_checkpoint
 
 pytestmark = pytest.mark.extras
@@ -94,6 +98,13 @@ def test_another_agent_is_evaluated_in_the_environment_of_a_checkpoint(
     code, told = call(capsys, "eval", str(run), *options)
     assert code == 0, told
     assert [(row.agent, row.steps) for row in Ledger(tmp_path).rows.values()] == [("PickExpert", 6)]
+
+
+def test_a_person_who_takes_over_from_a_checkpoint_is_not_bound_to_the_length_of_its_episodes(run: Path) -> None:
+    assert TeleopCommand(task=str(run))._setup().max_episode_steps is None
+    assert TeleopCommand(task="PickCuboid", agent=str(run))._setup().max_episode_steps is None
+    limited: Any = replace(Flags(), max_episode_steps=9)
+    assert TeleopCommand(task=str(run), environment=limited)._setup().max_episode_steps == 9
 
 
 @pytest.mark.gl

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -93,3 +94,17 @@ def test_a_death_is_noticed_while_the_other_workers_are_still_at_work(monkeypatc
         with pytest.raises(RcsError, match=r"died.*resume"):
             list(pool.map(iter([0, 1])))
     assert time.monotonic() - began < 25.0
+
+
+def test_ctrl_c_that_reaches_the_pool_ends_it_at_once() -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    began = time.monotonic()
+    timer = threading.Timer(5.0, os.kill, (os.getpid(), signal.SIGINT))  # as a rule, workers are at work by then
+    timer.start()
+    try:
+        with pytest.raises(KeyboardInterrupt), WorkerPool(Sleeper(), 2) as pool:
+            list(pool.map(iter([0, 2])))
+    finally:
+        timer.cancel()
+        signal.signal(signal.SIGINT, before)
+    assert time.monotonic() - began < 15.0

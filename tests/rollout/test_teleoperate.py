@@ -123,6 +123,14 @@ def test_a_reset_begins_the_next_episode(make: Make) -> None:
     assert loop.seed == 5
 
 
+def test_a_reset_during_a_take_keeps_it_without_a_verdict(make: Make, tmp_path: Path) -> None:
+    loop, told = make({3: "start", 10: "reset", 14: "stop"}, seed=3)
+    loop.run()
+    assert [(one.id, one.success, one.length) for one in kept(tmp_path)] == [("000000", None, 7)]
+    assert "Take 000000: no verdict" in told[1]
+    assert loop.seed == 4
+
+
 def test_a_fault_keeps_the_take_open_until_a_person_decides(make: Make, tmp_path: Path) -> None:
     loop, told = make({3: "start"}, task="Free", hardware="fake")
     arm: Any = next(port.device for port in _begun(loop).env.stack.ports if port.device is not None)

@@ -230,6 +230,15 @@ def test_an_opening_takes_over_where_it_meets_that_of_the_gripper(lead: Lead) ->
     assert led.observation["gripper"][0] == pytest.approx(0.5, abs=0.05)
 
 
+def test_what_is_held_does_not_fall_at_the_end_of_a_take(lead: Lead) -> None:
+    led = lead(lambda t: held(LEVEL, *(("gripper",) if 0.2 < t < 0.4 else ())))
+    led.run(0.6)
+    assert led.info["target"]["gripper"] == [0.0]
+    around = {**led.observation, "gripper": np.array([0.4], np.float32)}
+    led.operator.reset(around, led.info)
+    assert led.operator.act(around, led.info)["gripper"] == [0.0]
+
+
 # --- What does not fit ------------------------------------------------------------------------------------------------
 
 
@@ -318,5 +327,15 @@ def test_a_loop_that_was_held_up_holds_until_the_clutch_is_pressed_anew(lead: Ca
     is_pressed[0] = False
     led.run(0.2)
     is_pressed[0] = True
-    led.run(0.2)
+    led.run(1.0)
     assert led.operator.states == {"right": "engaged"}
+    before, begin = led.tcp, held_up[0]
+    while held_up[0] < begin + 1.0:  # the device goes on, and the clutch is released and pressed
+        held_up[0] += 0.02
+        is_pressed[0] = not 0.3 < held_up[0] - begin < 0.6
+        reading = led.device.read()
+        assert reading is not None
+        led.operator.feed._take(reading)
+    places = led.run(0.3)
+    assert led.operator.states == {"right": "engaged"}
+    assert places[:, 1].min() > before[1] - 2e-3  # it goes on from where it is, and not from where it stopped before

@@ -5,15 +5,20 @@ from __future__ import annotations
 import os
 import struct
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import rcs
 from rcs.errors import DeviceFault
 from rcs.teleop.device import HandReading, InputDevice, Reading
+from rcs.teleop.feed import Feed, News
 from rcs.teleop.input_events import InputEvents
+from rcs.teleop.operator import Operator
 from rcs.teleop.pedal import Pedal, WithButtons
+from tests.teleop.scripted_device import LEVEL, ScriptedDevice, held
 
 A, B, C, W, SPACE = 30, 48, 46, 17, 57
 DESCRIPTION = """P: /devices/usb/input/input5
@@ -134,18 +139,38 @@ def soon_has(device: InputDevice, hand: str, *buttons: str) -> None:
         time.sleep(0.002)
 
 
+def soon_asks(device: InputDevice, *requests: str) -> None:
+    """Wait until these requests are made, and no others."""
+    end, found = time.monotonic() + 20, list[str]()
+    while found != list(requests):
+        found += device.requests()
+        assert time.monotonic() < end, found
+        time.sleep(0.002)
+
+
+def wait_for_news(device: WithButtons) -> None:
+    """Wait until the second device was read again."""
+    end, before = time.monotonic() + 20, device._second.readings
+    while device._second.readings < before + 3:
+        assert time.monotonic() < end
+        time.sleep(0.002)
+
+
 def test_beside_a_pedal_the_devices_own_clutch_does_not_count() -> None:
     still, foot = Still(), Foot()
     with WithButtons(still, foot) as device:
         device.open()
         assert (device.valid_for, device.hands, device.has_clutch) == (0.07, ("left", "right"), True)
         soon_has(device, "left", "gripper")
+        wait_for_news(device)
         foot.feed(event(1, A, 1))
         soon_has(device, "left", "clutch", "gripper")
         foot.feed(event(1, A, 0))
         soon_has(device, "right", "gripper")
         foot.feed(event(1, C, 1) + event(1, C, 0))  # too short to be seen held
-        soon_has(device, "right", "gripper", "start")
+        soon_asks(device, "start")
+        foot.feed(event(1, A, 1) + event(1, A, 0))
+        soon_has(device, "right", "clutch", "gripper")
         soon_has(device, "right", "gripper")
     assert not still.is_open
 
@@ -154,25 +179,94 @@ def test_beside_any_other_device_only_its_clutch_does_not_count() -> None:
     still, foot = Still(), Foot()
     with WithButtons(still, foot, clutch=False) as device:
         device.open()
+        wait_for_news(device)
         foot.feed(event(1, A, 1) + event(1, C, 1))
-        soon_has(device, "left", "clutch", "gripper", "start")
-        foot.feed(event(1, C, 0))
         soon_has(device, "left", "clutch", "gripper")
+        soon_asks(device, "start")
 
 
 def test_a_pedal_that_is_silent_or_lost_is_released() -> None:
     foot = Foot()
     with WithButtons(Still(), foot) as device:
         device.open()
+        wait_for_news(device)
         for fate in ("silent", "lost"):
             foot.feed(event(1, A, 1))
             soon_has(device, "left", "clutch", "gripper")
             foot.fate = fate
             soon_has(device, "left", "gripper")
             foot.fate = ""
-            if fate == "lost":  # it is opened again, and its key counts once it is pressed again
-                time.sleep(1.1)
-                soon_has(device, "left", "gripper")
+            wait_for_news(device)
+            for _ in range(20):  # what is still held, or was before it was opened again, does not count
+                reading = device.read()
+                assert reading is not None and reading.hands["left"].buttons == {"gripper"}
+                time.sleep(0.002)
+            foot.feed(event(1, A, 0))
+            wait_for_news(device)
+        foot.feed(event(1, A, 1))
+        soon_has(device, "left", "clutch", "gripper")
+
+
+@pytest.mark.parametrize("fate", ["silent", "hangs", "lost", "untracked"])
+def test_requests_beside_a_device_that_is_silent_or_lost_are_made_once(
+    fate: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcs.teleop.feed.RETRY", 0.05)
+    foot, leading = Foot(), ScriptedDevice(lambda t: held(LEVEL), is_waiting=True)
+    asked: list[str] = []
+
+    def wait_until(is_true: Callable[[News], bool]) -> None:
+        end = time.monotonic() + 20
+        while True:
+            news = feed.poll()
+            asked.extend([*news.requests, *(one for pressed in news.pressed.values() for one in pressed)])
+            if is_true(news):
+                return
+            assert time.monotonic() < end, (news, asked)
+            time.sleep(0.002)
+
+    def leads(news: News) -> bool:
+        return news.reading is not None and news.reading.hands["right"].is_tracked
+
+    with Feed(WithButtons(leading, foot)) as feed:
+        feed.open()
+        wait_until(leads)
+        if fate == "untracked":
+            leading.script = lambda t: HandReading(is_tracked=False)
+        else:
+            leading.fate = fate
+        wait_until(lambda news: not leads(news))
+        foot.feed(event(1, C, 1) + event(1, C, 0))
+        wait_until(lambda news: bool(asked))
+        leading.fate, leading.script = "", lambda t: held(LEVEL)
+        wait_until(leads)
+        back = time.monotonic()
+        wait_until(lambda news: time.monotonic() > back + 0.1)
+    assert asked == ["start"]
+
+
+def test_a_press_beside_a_device_with_two_hands_is_one_request() -> None:
+    foot, hands = Foot(), ("left", "right")
+    leading = ScriptedDevice(lambda t: dict.fromkeys(hands, held(LEVEL)), hands=hands, is_waiting=True)
+    device, asked = WithButtons(leading, foot), list[str]()
+    with rcs.make("Free", robot="dual_fr3", binary_gripper=False, max_episode_steps=None) as env:
+        operator = Operator(env, device)
+        observation, info = env.reset(seed=0)
+        operator.reset(observation, info)
+        wait_for_news(device)
+        end, more = time.monotonic() + 20, 20
+        while operator.feed.readings < 2:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        foot.feed(event(1, C, 1) + event(1, C, 0))
+        while more:
+            operator.wait(observation, info)
+            asked += operator.events()
+            more -= bool(asked)
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        operator.close()
+    assert asked == ["start"]
 
 
 def test_a_device_that_does_not_open_leaves_the_pedal_closed() -> None:

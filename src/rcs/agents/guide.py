@@ -110,9 +110,22 @@ class Guide:
         self.opening = float(own[GRIPPER][0]) if GRIPPER in own else 1.0
         self.is_out_of_reach = False
 
+    def keep_opening(self, info: Mapping[str, Any]) -> None:
+        """Want the opening that the last step commanded, not the measured one, so that nothing falls.
+
+        Args:
+            info: Info of that step; without a target, nothing changes.
+        """
+        target = info.get("target", {})
+        own = target if self._key is None else target.get(self._key, {})
+        if GRIPPER in own:
+            self.opening = float(own[GRIPPER][0])
+
     def see(self, observation: Observation) -> None:
         """Take the present observation, of the whole environment."""
         self._measured = self._own(observation)
+        if self._braking == 0:
+            self._want_measured()
 
     @property
     def is_by_joints(self) -> bool:
@@ -173,6 +186,8 @@ class Guide:
         """Come to rest at once, and stay there: the target is where the arm is measured until it stands still."""
         if self._braking is None:
             self._braking, self._joint_goal = 0, self._joints
+            if self._measured:  # who leads it before the next action begins there, not where it braked before
+                self._want_measured()
 
     @property
     def is_braking(self) -> bool:
@@ -229,10 +244,14 @@ class Guide:
         speed, seconds = STILL
         if self._braking * self._period <= seconds:
             self._braking += 1
-            self._joints = self._joint_goal = np.clip(self._measured[JOINTS], self.lower, self.upper)
-            self._goal = self._goal_of(self._joints)
+            self._want_measured()
             if np.abs(self._measured[JOINT_VELOCITIES]).max() < speed:
                 self._braking = math.ceil(seconds / self._period) + 1
+
+    def _want_measured(self) -> None:
+        """Take the measured joints for the wanted ones, and for their target."""
+        self._joints = self._joint_goal = np.clip(self._measured[JOINTS], self.lower, self.upper)
+        self._goal = self._goal_of(self._joints)
 
     def _is_stuck(self, place: NDArray[np.float64]) -> bool:
         """Return whether the TCP, at a place in the base frame, has come to rest away from the goal."""

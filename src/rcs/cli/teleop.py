@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -113,12 +113,13 @@ class TeleopCommand(SetupOptions):
                 console.print(f"Dataset: {self.record}   ({takes.kept} takes kept)", soft_wrap=True)
 
     def _setup(self) -> Any:
-        usual: dict[str, Any] = {"max_episode_steps": None, "binary_gripper": False}
+        usual: dict[str, Any] = {"binary_gripper": False}
         if self.record is not None or self.measure:
             usual["cameras"] = "all"
             if self.hardware:
                 usual["cameras"] = tuple(Site.read(self.hardware).cameras) if self.hardware.endswith(".json") else ()
-        return self.setup("realtime", **usual)
+        setup = self.setup("realtime", **usual)
+        return setup if "max_episode_steps" in self.given else replace(setup, max_episode_steps=None)
 
     def _device(self) -> InputDevice:
         if not self.input:

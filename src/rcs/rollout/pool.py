@@ -1,7 +1,7 @@
 """A pool of worker processes, each with its own worker object that maps numbers to results.
 
 Workers die with their parent (on Linux by a signal, elsewhere when their pipe closes), so that no writer outlives the
-lock on its dataset. Only the parent handles Ctrl-C: workers finish their present number.
+lock on its dataset. Only the parent handles Ctrl-C: workers finish their present number, unless it ends the pool.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class WorkerPool(Closing):
                 wanted = list(islice(numbers, self._workers - len(pending)))
                 with _without_interrupts():
                     pending |= {self._pool.submit(_attempt, number) for number in wanted}
-                self._own |= set(active_children()) - self._others
+                    self._own |= set(active_children()) - self._others
                 if not pending:
                     return
                 done, pending = wait(pending, _WATCH, return_when=FIRST_COMPLETED)
@@ -79,13 +79,22 @@ class WorkerPool(Closing):
                     raise BrokenProcessPool
         except BrokenProcessPool as err:
             # One that died while it took a number keeps a lock, on which the others, and the pool's end, would wait.
-            for process in self._own & set(active_children()):
-                process.kill()
+            self._kill()
             raise RcsError("A worker process died (was it killed, or out of memory?); resume to go on.") from err
 
     def close(self) -> None:
         """Let the workers finish their numbers, then end them. Closing twice is harmless."""
         self._pool.shutdown(cancel_futures=True)
+
+    def __exit__(self, *error: object) -> None:
+        """Close it; after Ctrl-C at once, without the numbers at work."""
+        if any(isinstance(one, KeyboardInterrupt) for one in error):
+            self._kill()
+        self.close()
+
+    def _kill(self) -> None:
+        for process in self._own & set(active_children()):
+            process.kill()
 
 
 class _Process:

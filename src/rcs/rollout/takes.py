@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rcs.envs.observers.recorder import Recorder
-from rcs.errors import WrongOrder
+from rcs.errors import DatasetError, WrongOrder
 from rcs.rollout.latency import Latency
 
 WORDS: Mapping[bool | None, str] = {True: "success", False: "failure", None: "no verdict"}
@@ -110,6 +110,7 @@ class Takes:
         self._recorder, self._frequency = recorder, frequency
         self._instructions, self._latency = instructions, latency
         self._statistics = LoopStatistics(frequency)
+        self._is_aborted = False
 
     @property
     def now(self) -> str | None:
@@ -118,8 +119,8 @@ class Takes:
 
     @property
     def is_recording(self) -> bool:
-        """Whether a take is under way and has a row."""
-        return self._recorder.take is not None and self._recorder.is_recording
+        """Whether a take is under way and has a row. One that a failing disk has aborted is over; a reset drops it."""
+        return self._recorder.take is not None and self._recorder.is_recording and not self._is_aborted
 
     @property
     def kept(self) -> int:
@@ -139,7 +140,7 @@ class Takes:
         """
         instruction = self._instructions[self.kept % len(self._instructions)] if self._instructions else None
         take = self._recorder.start(instruction)
-        self._statistics = LoopStatistics(self._frequency)
+        self._statistics, self._is_aborted = LoopStatistics(self._frequency), False
         if self._latency is not None:
             self._latency.clear()
         return f"Take {take} begins{f': {instruction}' if instruction else ''}"
@@ -149,12 +150,17 @@ class Takes:
 
         Raises:
             WrongOrder: No take is under way, or it has no row yet.
+            DatasetError: The disk is full or fails; the take's rows stay there for `recover`.
         """
         outcome: dict[str, Any] = {"loop": self._statistics.to_json()}
         if self._latency is not None:
             outcome["latency"] = self._latency.to_json()
         rows = self._recorder.rows
-        record = self._recorder.finish(success, outcome)
+        try:
+            record = self._recorder.finish(success, outcome)
+        except DatasetError:
+            self._is_aborted = True
+            raise
         self.ended.append(Take(id=record.id, success=success, rows=rows, is_kept=True))
         return f"Take {self.ended[-1]}; {self._statistics}"
 

@@ -20,7 +20,8 @@ class Teleoperation:
     """One running loop over many takes.
 
     The events of the agent act: `start` begins a take, or ends it with the verdict of the task, if it has one;
-    `success`, `failure` and `discard` end it; `reset` begins the next episode, also after a fault; `stop` ends all.
+    `success`, `failure` and `discard` end it; `reset` begins the next episode, also after a fault, and keeps a take
+    under way without a verdict; `stop` ends all.
     In simulation, a take that has ended is followed by the next episode, a discarded one by the same again. On real
     robots the loop goes on, so that the robot can be led to where the next take begins. Whenever a take ends, all
     devices hold, and the person has to press the clutch anew.
@@ -109,6 +110,9 @@ class Teleoperation:
         if event == "stop":
             self.is_ending = True
         elif event == "reset":
+            if self.takes is not None and self.takes.is_recording:
+                self.env.hold()
+                self._tell(self.takes.finish(None))
             self._recover()
             self.begin()
         elif event in ("start", "discard", *VERDICTS):

@@ -7,7 +7,7 @@ devices; so a device neither smooths, nor bounds, nor repeats an old reading as 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
@@ -30,6 +30,9 @@ the robot from a policy to the person and back.
 
 BUTTONS: tuple[Button, ...] = get_args(Button)
 """All meanings."""
+
+OF_HANDS: frozenset[Button] = frozenset({"clutch", "gripper", "front"})
+"""Meanings that concern a hand; the others are requests."""
 
 POLL = 0.1
 """Longest time that `read` waits [s]."""
@@ -76,7 +79,7 @@ class InputDevice(Closing, ABC):
     """A device in a person's hands. Entry points of `rcs.operators` are called with an address, or with None.
 
     The operator calls `open`, then `read` again and again from one thread of its own, and `close` from any thread.
-    `feedback` comes from the loop's thread and returns at once.
+    `requests` and `feedback` come from the loop's thread and return at once.
     """
 
     valid_for: float = 0.1
@@ -110,8 +113,20 @@ class InputDevice(Closing, ABC):
         Messages that cannot be used are left out and counted; they raise nothing.
 
         Raises:
-            DeviceFault: The device is lost. The operator holds; only `close` and `open` make it work again.
+            DeviceFault: The device is lost. The operator holds; only `reopen` makes it work again.
         """
+
+    def reopen(self) -> None:
+        """Connect again what was lost; faults as in `open`."""
+        self.close()
+        self.open()
+
+    def requests(self) -> Sequence[Button]:
+        """Return the requests made since the last call at a device beside this one, oldest first.
+
+        They count whatever becomes of this device. The loop's thread asks, and the answer comes at once.
+        """
+        return ()
 
     def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Show the person what the robot does: pictures, rumble, torques of a leader.

@@ -51,6 +51,8 @@ class News:
     """Why there is no reading."""
     pressed: Mapping[str, Sequence[Button]] = field(default_factory=dict[str, Sequence[Button]])
     """Buttons that were pressed since, by hand, in their order; also without a reading, since requests are not lost."""
+    requests: Sequence[Button] = ()
+    """Requests made since at a device beside this one, in their order."""
     broken: Mapping[str, str] = field(default_factory=dict[str, str])
     """Why a hand could not be followed since, by hand."""
 
@@ -107,17 +109,18 @@ class Feed(Closing):
         """Return what has happened since the last question."""
         if not self._has_thread and (reading := self.device.read()) is not None:
             self._take(reading)
+        requests = self.device.requests()
         now = self._clock()
         with self._lock:
             pressed, self._pressed = self._pressed, {}
             broken, self._broken = self._broken, {}
             newest = self._newest
             if newest is None:
-                return News(why=self._why, pressed=pressed)
+                return News(why=self._why, pressed=pressed, requests=requests)
             age = now - newest.time
             if age > self.device.valid_for:
-                return News(why=self._why or f"silent for {age:.2f} s", pressed=pressed)
-            return News(reading=newest, pressed=pressed, broken=broken)
+                return News(why=self._why or f"silent for {age:.2f} s", pressed=pressed, requests=requests)
+            return News(reading=newest, pressed=pressed, requests=requests, broken=broken)
 
     def close(self) -> None:
         """End the thread and close the device. Closing twice is harmless."""
@@ -137,8 +140,7 @@ class Feed(Closing):
         while not must_end.is_set():
             try:
                 if is_lost:
-                    self.device.close()
-                    self.device.open()
+                    self.device.reopen()
                     is_lost = False
                     if must_end.is_set():  # it was closed meanwhile, before there was anything to close
                         self.device.close()

@@ -18,7 +18,7 @@ from rcs.agents.guide import Guide
 from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observer import Note
-from rcs.envs.spaces import GRIPPER, Action, Observation
+from rcs.envs.spaces import Action, Observation
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.teleop.device import Button, InputDevice
 from rcs.teleop.feed import Feed, News
@@ -125,9 +125,9 @@ class Operator(Agent):
         self.feed.open()
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Stay where the robots are; the clutch has to be pressed anew."""
+        """Stay where the robots are, with what the grippers hold; the clutch has to be pressed anew."""
         self.open()
-        self.take_over(observation, {})
+        self.take_over(observation, info)
 
     def take_over(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Begin from where another agent has led the robots; the clutch has to be pressed anew.
@@ -137,12 +137,9 @@ class Operator(Agent):
             info: Info of the last step; grippers keep its target, so that nothing falls.
         """
         self._polled = None
-        target = info.get("target", {})
-        for name, guide in self._guides.items():
+        for guide in self._guides.values():
             guide.reset(observation)
-            own = target.get(name, target)
-            if GRIPPER in own:
-                guide.opening = float(own[GRIPPER][0])
+            guide.keep_opening(info)
         self.hold("press the clutch to lead")
         for guide in self._others.values():
             guide.brake()
@@ -215,7 +212,7 @@ class Operator(Agent):
         return now
 
     def _tell_events(self, before: Mapping[str, State]) -> None:
-        for buttons in self.news.pressed.values():
+        for buttons in (*self.news.pressed.values(), self.news.requests):
             requests: list[Event] = [REQUESTS[button] for button in buttons if button in REQUESTS]
             self._events += requests
         for name, state in self.states.items():

@@ -98,7 +98,7 @@ def test_the_expert_shows_how_it_is_done_and_the_target_is_hidden_meanwhile(view
     gizmo = server_of(view).scene.get_handle_by_name("/targets/fr3")
     words_at_the_end = ""
     for _ in range(600):
-        view.update()
+        update(view)
         if view.session.is_over:
             words_at_the_end = words(view)
             break

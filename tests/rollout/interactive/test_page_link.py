@@ -21,6 +21,7 @@ from rcs.rollout.interactive.page_link import PATH, VALID_FOR, PageKeys
 from rcs.rollout.interactive.session import Session, playable
 from rcs.teleop import Keyboard
 from tests.rollout.interactive.driven_page import control, drag, give, hear, update, words
+from tests.rollout.interactive.test_session import Asking
 
 BRAKING = 5
 """Steps of 1/30 s within which a robot that nobody leads is at rest: 0.1 s, and one from before the law was known."""
@@ -170,6 +171,29 @@ def test_what_acts_is_shown_and_an_agent_takes_the_robot_from_the_keys() -> None
         give(view, "Keys lead", "fr3")
         words(view)
         assert (control(view, "Keys lead").value, control(view, "Agent acts").value) == ("fr3", False)
+
+
+def test_when_the_page_that_led_is_gone_the_agent_acts_no_longer() -> None:
+    session = Session(replace(playable(Setup(task="PickCuboid")), stepping="async"))
+    with session, BrowserView(session, port=0) as view:
+        give(view, "Agent acts", True)
+        update(view, 20)
+        time.sleep(VALID_FOR)
+        view.update()
+        assert (view.leader, session.agent) == (None, None)
+        assert way_after_braking(view) < 1e-3
+        assert "the robots stay" in words(view)
+        assert not control(view, "Agent acts").value
+
+
+def test_what_an_agent_asks_for_in_vain_is_told_and_the_session_goes_on() -> None:
+    setup = replace(playable(Setup(task="Free", relative="absolute")), stepping="async")
+    with Session(setup, agent=lambda env: Asking(env, "success", 3)) as session, BrowserView(session, port=0) as view:
+        session.let_agent(True)
+        for _ in range(5):
+            view.update()
+        assert "> WrongOrder: Nothing is recorded" in words(view)
+        assert (session.verdict, session.steps) == ("running", 5)
 
 
 def test_strangers_and_damaged_messages_are_not_heard(view: BrowserView) -> None:

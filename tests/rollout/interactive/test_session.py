@@ -13,9 +13,10 @@ from rcs_data import Dataset
 
 from rcs.agents import Agent, Event, Guide
 from rcs.envs import Env
+from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Action, Observation
-from rcs.errors import InvalidSetup, SimulationError, UnknownName, WrongOrder
+from rcs.errors import DatasetError, InvalidSetup, SimulationError, UnknownName, WrongOrder
 from rcs.rollout.interactive.session import Session, playable
 from rcs.teleop import HandReading, Operator
 from tests.teleop.scripted_device import ScriptedDevice, at, held
@@ -86,6 +87,21 @@ def test_taking_over_from_the_expert_stays_where_the_arm_is() -> None:
             session.step()
         assert np.abs(session.guides["fr3"].tcp_in_scene - before).max() < 0.05
         assert session.guides["fr3"].opening == pytest.approx(1.0, abs=0.02)
+
+
+def test_what_the_expert_holds_does_not_fall_when_the_page_takes_over() -> None:
+    with session_of() as session:
+        session.let_agent(True)
+        table = cuboid(session)[2]
+        while cuboid(session)[2] < table + 0.04:
+            session.step()
+            assert session.steps < 600
+        session.let_agent(False)
+        assert session.guides["fr3"].opening == 0.0  # not as far open as it is measured around the cuboid
+        for _ in range(60):
+            session.step()
+        assert not session.is_over
+        assert cuboid(session)[2] > table + 0.03
 
 
 def test_a_task_without_an_expert_says_so_and_goes_on() -> None:
@@ -207,6 +223,35 @@ def test_takes_are_recorded_with_who_acted(tmp_path: Path) -> None:
     ]
     words = episodes[0].info.feature("notes/actor").words
     assert {words[int(number) - 1] for number in episodes[0].column("notes/actor")} == {"page"}
+
+
+def test_a_reset_during_a_take_keeps_it_without_a_verdict(tmp_path: Path) -> None:
+    with Session(replace(playable(Setup(task="PickCuboid")), stepping="async"), out=tmp_path / "set") as session:
+        session.obey("start")
+        for _ in range(4):
+            session.step()
+        session.reset()
+        assert session.takes is not None
+        assert [str(take) for take in session.takes.ended] == ["000000: no verdict, 4 rows"]
+        assert (session.takes.now, session.seed) == (None, 1)
+    assert [one.success for one in Dataset.open(tmp_path / "set").episodes] == [None]
+
+
+def test_a_take_that_the_disk_does_not_keep_is_told_once_and_the_next_reset_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Session(replace(playable(Setup(task="Free")), stepping="async"), out=tmp_path / "set") as session:
+        session.obey("start")
+        session.step()
+
+        def fail(*_: Any) -> Any:
+            raise DatasetError("no room on the disk")
+
+        monkeypatch.setattr(Recorder, "finish", fail)
+        with pytest.raises(DatasetError, match="no room"):
+            session.reset()
+        session.reset()
+        assert session.verdict == "running"
 
 
 def test_an_episode_that_ends_by_itself_ends_the_take_with_the_verdict_of_the_task(tmp_path: Path) -> None:

@@ -68,9 +68,8 @@ class BrowserView(Page):
             try:
                 request()
             except RcsError as err:
-                _log.warning("%s: %s", type(err).__name__, err)
-                self._panel.show_message(f"{type(err).__name__}: {err}")
-        if not self.session.advance():
+                _tell(err, self._panel)
+        if not self._advance(self._panel):
             time.sleep(IDLE)
         if self.session.episodes != self._episodes:
             self._episodes = self.session.episodes
@@ -98,6 +97,14 @@ class BrowserView(Page):
         if self._link is not None and page is not None:
             self._link.note(page)
         self.submit(request, page)
+
+    def _advance(self, panel: Panel) -> bool:
+        """Have the session go on, and return whether it does; what an agent asks for in vain is told."""
+        try:
+            return self.session.advance()
+        except RcsError as err:
+            _tell(err, panel)
+            return True
 
     def _refusal(self, link: PageLink, page: int) -> str:
         """Give a page the lead, or return why not."""
@@ -133,6 +140,11 @@ class BrowserView(Page):
         super().close()
         if self._link is not None:
             self._link.close()
+
+
+def _tell(err: RcsError, panel: Panel) -> None:
+    _log.warning("%s: %s", type(err).__name__, err)
+    panel.show_message(f"{type(err).__name__}: {err}")
 
 
 def _nothing() -> None:

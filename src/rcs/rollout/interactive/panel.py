@@ -233,6 +233,7 @@ class Panel:
 
     def begin(self) -> None:
         """Show the beginning of an episode."""
+        self._message = ""
         self._seed.value = self._session.seed
         self._next_text = 0.0
         for robot in self._robots:

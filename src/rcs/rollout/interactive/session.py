@@ -259,7 +259,15 @@ class Session(Closing):
             self._judge(event)
 
     def release(self) -> None:
-        """Have all robots brake and stay, because nobody leads them any more."""
+        """Have all robots brake and stay, because the page that led is gone; an agent acts no longer.
+
+        A person with a device in the hand still leads.
+        """
+        if not isinstance(self.agent, Operator | Takeover):
+            self._end_agent()
+        self._brake()
+
+    def _brake(self) -> None:
         for guide in self.guides.values():
             guide.brake()
         if self.operator is not None:
@@ -317,7 +325,7 @@ class Session(Closing):
         if set(self.env.platform.values()) == {"simulation"}:
             self._begin(self.seed + is_kept, None)
         elif not self.is_over:
-            self.release()
+            self._brake()
             if self._pace is not None:
                 self._pace.reset(self.observation, self.info)
 
@@ -338,6 +346,9 @@ class Session(Closing):
         return actions if len(actions) > 1 else next(iter(actions.values()))
 
     def _begin(self, seed: int, state: Any) -> None:
+        if self.takes is not None and self.takes.is_recording:
+            self.env.hold()
+            self.takes.finish(None)
         self.problem = ""
         """Why the episode was stopped; empty if nothing is wrong."""
         self._is_fault = False
@@ -366,6 +377,8 @@ class Session(Closing):
     def _end_agent(self) -> None:
         if self._pace is not None:
             pace, self._pace, self.operator = self._pace, None, None
+            for guide in self.guides.values():
+                guide.keep_opening(self.info)
             pace.agent.close()
 
     def close(self) -> None:
