@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import rcs
 from rcs.envs import planner_for
+from rcs.envs.planner_for import ScenePlanner
 from rcs.errors import InvalidSetup, UnknownName
+from rcs.robots.fr3 import FR3
+from rcs.sim.randomisation import Randomisation
+from rcs.spatial import Pose
 
 
 def test_a_planner_sees_the_scene_as_it_is_and_looks_again_when_asked() -> None:
@@ -22,6 +28,45 @@ def test_a_planner_sees_the_scene_as_it_is_and_looks_again_when_asked() -> None:
         assert planner.checker.clearance(planner.joints, 1.0).distance == before
         planner.look()
         assert planner.checker.clearance(planner.joints, 1.0).distance < 0.0
+
+
+@pytest.mark.parametrize("ranges", [None, Randomisation.off(table_height=0.05)], ids=["sizes", "table"])
+def test_a_planner_sees_the_sizes_of_the_present_episode(ranges: Randomisation | None) -> None:
+    with rcs.make("PickCuboid", task_options={"distractors": 4}, randomisation=ranges) as env:
+        planner = planner_for(env)
+        planner.checker.allow("cuboid", "table")
+        planner.attach("cuboid")
+        pairs = planner.checker.pairs
+        env.reset(seed=3)
+        planner.look()
+        np.testing.assert_array_equal(planner.checker.pairs, pairs)
+        planner.detach("cuboid")
+        world = env.simulation.world
+        places = [world.qpos[int(world.model.joint(f"distractor {i}").qposadr[0]) :][:2] for i in range(4)]
+        above = [Pose.from_rpy((x, y, 0.075), (np.pi, 0.0, 0.0)) for x, y in places]
+        rows = np.array([planner.goals(pose, start=planner.joints)[0] for pose in above])
+        fresh = planner_for(env)
+        fresh.checker.allow("cuboid", "table")
+        for mine, other in zip(
+            planner.checker.clearance_rows(rows, 1.0), fresh.checker.clearance_rows(rows, 1.0), strict=True
+        ):
+            np.testing.assert_array_equal(mine, other)
+
+
+def test_a_planner_of_a_copy_sees_what_is_around_that_copy() -> None:
+    options: dict[str, Any] = {"task_options": {"obstacles": 4, "distractors": 4}}
+    envs = rcs.make_vec("PickCuboid", copies=2, **options)
+    envs.reset(seed=3)
+    rows = np.array(FR3.home) + np.random.default_rng(0).normal(0.0, 0.3, (20, 7))
+    found = []
+    for copy in range(2):
+        planner = ScenePlanner(envs.simulation.world, envs.robots["fr3"], copy=copy)
+        found.append(planner.checker.clearance_rows(rows, 1.0)[0])
+        with rcs.make("PickCuboid", **options) as env:
+            env.reset(seed=3 + copy)
+            np.testing.assert_array_equal(found[copy], planner_for(env).checker.clearance_rows(rows, 1.0)[0])
+    assert (found[0] != found[1]).any()
+    envs.close()
 
 
 def test_what_is_attached_moves_with_the_gripper() -> None:

@@ -107,7 +107,10 @@ def test_the_same_step_starts_a_new_episode_and_keeps_the_end_of_the_last(thread
                             np.testing.assert_array_equal(info["final_info"][key][part][copy], target)
                     elif key != "end":
                         np.testing.assert_array_equal(info["final_info"][key][copy], value)
-                last, _ = single.reset()
+                last, told = single.reset()
+                assert not info["_target"][copy]
+                assert not np.shares_memory(info["cuboid"], info["final_info"]["cuboid"])
+            require_same_info(info, copy, told)
             require_same_bits(of_copy(observation, copy), last)
     assert ends == 2 * COPIES
 
@@ -162,6 +165,26 @@ def test_a_copy_without_a_seed_of_its_own_goes_on_with_its_next_episode() -> Non
         require_same_bits(of_copy(observation, copy), singles[copy].reset(seed=second)[0])
     other, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
     other.reset(seed=[None, 7, None])
+
+
+def test_a_masked_reset_is_of_the_copies_of_its_mask_alone() -> None:
+    envs, singles = make_pair(AutoresetMode.DISABLED, 1)
+    envs.reset(seed=[4, 9, 4])
+    observation, info = envs.reset(seed=7, options={"reset_mask": np.array([True, False, False])})
+    require_same_bits(of_copy(observation, 0), singles[0].reset(seed=7)[0])
+    np.testing.assert_array_equal(info["_is_grasped"], [True, False, False])
+    observation, _ = envs.reset(options={"reset_mask": np.array([False, True, False])})
+    singles[1].reset(seed=9)
+    require_same_bits(of_copy(observation, 1), singles[1].reset()[0])
+
+
+def test_a_mask_does_not_count_where_all_copies_have_to_start() -> None:
+    envs, singles = make_pair(AutoresetMode.DISABLED, 1)
+    observation, info = envs.reset(seed=7, options={"reset_mask": np.array([True, False, False])})
+    for copy, single in enumerate(singles):
+        first, told = single.reset(seed=7 + copy)
+        require_same_bits(of_copy(observation, copy), first)
+        require_same_info(info, copy, told)
 
 
 def test_without_a_seed_every_start_is_another() -> None:

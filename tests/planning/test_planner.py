@@ -84,6 +84,19 @@ def test_of_several_goals_those_in_collision_are_left_out(planner: Planner) -> N
     np.testing.assert_allclose(path.waypoints[-1], RIGHT)
 
 
+def test_a_goal_beside_something_does_not_count_where_others_keep_the_margin(planner: Planner) -> None:
+    low, high = 0.0, LEFT[0]  # inside the wall, and free of it
+    for _ in range(40):
+        middle = (low + high) / 2
+        is_near = planner.checker.clearance(np.array([middle, *LEFT[1:]]), 0.1).distance < 3e-4
+        low, high = (middle, high) if is_near else (low, middle)
+    near = np.array([high, *LEFT[1:]])
+    path = planner.plan(LEFT, [near, RIGHT], seed=1)
+    np.testing.assert_allclose(path.waypoints[-1], RIGHT)
+    require_free(planner, path, margin=0.002)
+    np.testing.assert_allclose(planner.plan(LEFT, near, seed=1).waypoints[-1], near)
+
+
 def test_a_pose_out_of_reach_says_so(planner: Planner) -> None:
     with pytest.raises(PlanningFailed, match="No joints inside the limits reach") as caught:
         planner.plan(HOME, Pose((2.0, 0.0, 0.5)))

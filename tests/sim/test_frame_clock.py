@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from copy import deepcopy
+
 import mujoco
 import numpy as np
 import pytest
@@ -119,6 +121,20 @@ def test_the_intervals_of_a_webcam_follow_from_key_and_name_in_any_copy() -> Non
         np.testing.assert_array_equal(both[:, copy], rolling(key, 300)[:, 0])
     assert not np.array_equal(both[:, 0], both[:, 1])
     assert not np.array_equal(both[:, 0], rolling(3, 300, "another")[:, 0])
+
+
+def test_a_clock_goes_on_as_the_one_whose_memory_it_gets() -> None:
+    worlds, clocks = [World(MODEL, frequency=500.0) for _ in range(2)], []
+    for world, key in zip(worlds, (3, 9), strict=True):
+        world.reset()
+        clock = FrameClock(world, {"eye": WEBCAM})
+        clock.begin(np.array([key], np.uint64))
+        flags(world, clock, 50)
+        clocks.append(clock)
+    one, other = clocks
+    for name in FrameClock.memory:
+        setattr(other, name, deepcopy(getattr(one, name)))
+    np.testing.assert_array_equal(flags(worlds[1], other, 300), flags(worlds[0], one, 300))
 
 
 def test_a_webcam_that_is_slow_enough_for_its_exposure_keeps_its_rate() -> None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy as copied
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import CollisionChecker
 from rcs.envs.env import Env
+from rcs.envs.gates.guarded_scene import GEOMETRY
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.kinematics import kinematics_of
 from rcs.planning.path import JointLimits
@@ -17,6 +21,57 @@ from rcs.sim.robot import RobotLayout
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.world import World
 from rcs.spatial import Pose, wxyz_to_xyzw
+
+
+class SceneChecker(CollisionChecker):
+    """A checker whose place another one can take when shapes have changed."""
+
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[int]) -> None:
+        """Copy the model.
+
+        Args:
+            model: The scene, with its present shapes.
+            joints: Ids of the robot's joints.
+        """
+        super().__init__(model, [joints])
+        self._state: tuple[NDArray[np.float64], ...] = (np.array(model.qpos0),)
+        self._allowed: list[tuple[str, str]] = []
+        self._attached: dict[int, tuple[int, Pose | None, tuple[NDArray[np.float64], ...]]] = {}
+        """What is attached to what, where, and the state in which it was, by body id."""
+
+    def take_over(self, other: SceneChecker) -> None:
+        """Let what may touch there touch here, and attach what is attached there."""
+        for a, b in other._allowed:
+            self.allow(a, b)
+        for body, (to, pose, state) in other._attached.items():
+            self.set_state(*state)
+            self.attach(body, to, pose)
+
+    def set_state(
+        self,
+        qpos: NDArray[np.float64],
+        mocap_pos: NDArray[np.float64] | None = None,
+        mocap_quat: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Say where everything else is, as `CollisionChecker.set_state` does."""
+        super().set_state(qpos, mocap_pos, mocap_quat)
+        self._state = tuple(np.array(part) for part in (qpos, mocap_pos, mocap_quat) if part is not None)
+
+    def allow(self, a: str, b: str) -> int:
+        """Let two things touch, as `CollisionChecker.allow` does."""
+        dropped = super().allow(a, b)
+        self._allowed.append((a, b))
+        return dropped
+
+    def attach(self, body: int, to: int, pose_in_to: Pose | None = None) -> None:
+        """Let a body move with another one, as `CollisionChecker.attach` does."""
+        super().attach(body, to, pose_in_to)
+        self._attached[body] = to, pose_in_to, self._state
+
+    def detach(self, body: int) -> None:
+        """Leave an attached body where the state has it."""
+        super().detach(body)
+        del self._attached[body]
 
 
 class ScenePlanner(Planner):
@@ -36,8 +91,10 @@ class ScenePlanner(Planner):
         """
         self._world, self._copy = world, copy
         self._layout = RobotLayout.of(placement, world.model)
+        self._shapes = self._present_shapes()
+        self._own = self._make_checker()
         super().__init__(
-            CollisionChecker(world.model, [self._layout.joint_ids]),
+            self._own,
             JointLimits.of(placement.arm, scale=speed),
             kinematics_of(placement.arm, placement.end_effector),
             **options,
@@ -45,12 +102,17 @@ class ScenePlanner(Planner):
         self.look()
 
     def look(self) -> None:
-        """Take where everything is now."""
-        state, data = self._qpos(), self._world.data
-        if data is None:
-            self.checker.set_state(state)
-        else:
-            self.checker.set_state(state, data.mocap_pos.ravel(), data.mocap_quat.ravel())
+        """Take where everything is now, and of which size.
+
+        Where shapes have changed, as from one episode to the next, `checker` is a new one from here on, in which the
+        same things may touch and are attached.
+        """
+        shapes, before = self._present_shapes(), self._own
+        if any(not np.array_equal(shapes[name], self._shapes[name]) for name in GEOMETRY):
+            self._shapes = shapes
+            self.checker = self._own = self._make_checker()
+            self._own.take_over(before)
+        self._own.set_state(self._qpos(), *self._mocap())
 
     @property
     def joints(self) -> NDArray[np.float64]:
@@ -91,9 +153,30 @@ class ScenePlanner(Planner):
         self.checker.detach(self._body(body))
         self.look()
 
+    def _present_shapes(self) -> dict[str, NDArray[Any]]:
+        """Return the fields of this copy's model that say where shapes are and how large."""
+        return {name: np.array(self._of_copy(self._world.field(name))) for name in GEOMETRY}
+
+    def _make_checker(self) -> SceneChecker:
+        """Return a checker with the shapes that were seen last."""
+        model = self._world.model
+        if self._world.leading:
+            model = copied(model)
+            for name, values in self._shapes.items():
+                getattr(model, name)[:] = values
+        return SceneChecker(model, self._layout.joint_ids)
+
+    def _of_copy(self, values: NDArray[Any]) -> NDArray[Any]:
+        return values[self._copy] if self._world.leading else values
+
     def _qpos(self) -> NDArray[np.float64]:
-        qpos = self._world.qpos
-        return qpos if qpos.ndim == 1 else qpos[self._copy]
+        return self._of_copy(self._world.qpos)
+
+    def _mocap(self) -> list[NDArray[np.float64]]:
+        """Return the positions and quaternions of the bodies with `mocap`, if there are any."""
+        kinds = (mujoco.mjtState.mjSTATE_MOCAP_POS, mujoco.mjtState.mjSTATE_MOCAP_QUAT)
+        component = self._world.core.component
+        return [self._of_copy(component(kind.value)) for kind in kinds] if self._world.model.nmocap else []
 
     def _body(self, name: str) -> int:
         model = self._world.model

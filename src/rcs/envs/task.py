@@ -22,6 +22,9 @@ if TYPE_CHECKING:  # labs have an `Area`, and `rcs list` shows them without the 
     from rcs.sim.world import World
 
 
+Circle = tuple[NDArray[np.float64], NDArray[np.float64] | float]
+"""A circle on the table that stays free: its middle in the scene, (*leading, 2) or longer [m], and radius [m]."""
+
 TRIES = 16
 """Draws of a place apart from another one: with the built-in areas, one is far enough in all but 1 of 10^4 episodes."""
 
@@ -194,6 +197,10 @@ class Task(ABC):
     def object_poses(self) -> dict[str, NDArray[np.float64]]:
         """Return the poses of the task's objects in the scene by name, (*leading, 7) [m], xyzw."""
         return {}
+
+    def occupied(self) -> list[Circle]:
+        """Return the circles in which the last `reset` has put other things than objects, of exactly its copies."""
+        return []
 
     def place(self, poses: Mapping[str, NDArray[np.float64]], where: CopyIndex) -> None:
         """Put objects at given poses, at rest, by writing the state; called only between `reset` and the first step.

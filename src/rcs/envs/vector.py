@@ -102,8 +102,9 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
 
         Args:
             seed: A number s gives copy i the seed s + i; a sequence gives each copy its own; None goes on with the next
-                episodes.
-            options: `reset_mask`, (copies,) bool, resets only some copies.
+                episodes. Copies that are not reset keep theirs.
+            options: `reset_mask`, (copies,) bool, resets only some copies, and the info is of these alone. The first
+                episodes, and those after an error, start in all copies.
 
         Raises:
             WrongOrder: The environment is closed.
@@ -113,14 +114,18 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             if not self._engine.is_open:
                 raise WrongOrder("reset was called on a closed environment; make a new one.")
             mask = self._check_options(options)
-            self._take_seeds(seed)
+            self._take_seeds(seed, mask)
+            started = mask if self._engine.is_started else None
             observation, info = self._engine.start(None if mask is None else np.flatnonzero(mask).astype(np.int32))
-            return observation, self._with_masks(info)
+            return observation, self._with_masks(info, started)
 
     def step(  # pyright: ignore[reportIncompatibleMethodOverride]  gymnasium types the done flags as floats
         self, actions: Mapping[str, NDArray[Any]]
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Step every copy. The info is that of `Env.step`, an array per key.
+
+        With `SameStep`, copies whose episode ends have observation and info of their next one's start; `final_obs` and
+        `final_info` have those of the end.
 
         Args:
             actions: One array (copies, ...) per key of the action space. Those of copies that start anew in this step
@@ -147,10 +152,10 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
                 self._tell_started(info, starting)
             if self._autoreset is AutoresetMode.SAME_STEP and engine.is_over.any():
                 finished = engine.is_over.copy()
-                info["final_obs"], info["final_info"] = observation, step.info
-                info["_final_obs"] = info["_final_info"] = finished
-                observation, _ = engine.start(np.flatnonzero(finished).astype(np.int32))
-                self._tell_started(info, finished)
+                final = {"final_obs": observation, "final_info": step.info}
+                observation, begun = engine.start(np.flatnonzero(finished).astype(np.int32))
+                info = _with_begun(info, self._with_masks(begun, finished), finished)
+                info.update(final, _final_obs=finished, _final_info=finished.copy())
             return observation, step.reward, step.terminated, step.truncated, info
 
     def get_state(self, copies: Sequence[int] | NDArray[np.integer] | None = None) -> EnvState:
@@ -196,7 +201,8 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             )
         return given.astype(np.int32)
 
-    def _take_seeds(self, seed: int | Sequence[int | None] | None) -> None:
+    def _take_seeds(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_] | None) -> None:
+        """Set the seeds of the copies in a mask; those of all for None, or where there were none before."""
         if seed is None and self._has_seeds:
             return
         engine = self._engine
@@ -211,6 +217,8 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         else:
             first = check_seed(seed)
             given = [check_seed(first + i) for i in range(self.num_envs)]
+        if mask is not None and self._has_seeds:
+            given = [value if is_reset else None for value, is_reset in zip(given, mask, strict=True)]
         # None goes on with the next episode of the copy's own seed, as in gymnasium.
         is_new = np.array([value is not None or not self._has_seeds for value in given])
         engine.seeds[:] = [int(mine) if value is None else value for value, mine in zip(given, own, strict=True)]
@@ -226,7 +234,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             raise InvalidSetup(f"Unknown reset options {sorted(given)}; valid: 'reset_mask'.")
         if mask is None:
             return None
-        array = np.asarray(mask)
+        array = np.array(mask)
         if array.shape != (self.num_envs,) or array.dtype != np.bool_ or not array.any():
             raise InvalidSetup(f"reset_mask must be {self.num_envs} booleans with at least one True.")
         return array
@@ -264,3 +272,25 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         """Return the first line."""
         cameras = FRAMES in self.stack.observation_space.spaces
         return f"{self._title} ({self.num_envs} copies{', with cameras' if cameras else ''})"
+
+
+def _with_begun(info: Mapping[str, Any], begun: Mapping[str, Any], where: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return the info of a step, in new arrays, in which some copies have that of the start of their next episode.
+
+    Args:
+        info: Info of the step, with masks.
+        begun: Info of the start, with masks.
+        where: The copies that have started, (copies,); they keep nothing of the episode before.
+    """
+    merged: dict[str, Any] = {}
+    for key in {**info, **begun}:
+        old, new = info.get(key), begun.get(key)
+        if isinstance(new if old is None else old, Mapping):
+            merged[key] = _with_begun(old or {}, new or {}, where)
+            continue
+        merged[key] = np.array(new if old is None else old)
+        if new is not None:
+            merged[key][where] = new[where]
+        elif key.startswith("_"):
+            merged[key][where] = False
+    return merged

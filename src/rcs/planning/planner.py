@@ -60,7 +60,7 @@ class Planner:
     """Kinematics of the robot in its base frame, for goals that are poses; None if there are several robots."""
     _: KW_ONLY
     margin: float = 0.005
-    """Distance that paths keep [m]. Where the start or the goal is nearer, this path keeps theirs."""
+    """Distance that paths keep [m]. Where the start is nearer, or every goal, this path keeps theirs."""
     planner: str = "RRTConnect"
     """Name of a planner: RRT, RRTConnect, RRTstar, FMT, BITstar, or another one of OMPL."""
     time_limit: float = 5.0
@@ -91,7 +91,8 @@ class Planner:
         Args:
             start: Joints [rad], (dof,).
             goal: Joints [rad], (dof,), or several of which any will do, (n, dof); or a pose of the TCP in the base
-                frame. A pose may have many solutions: those found that are free are all goals.
+                frame. A pose may have many solutions: those found that are free are all goals. Goals for which the
+                margin would have to be less than for others do not count.
             seed: Seed of everything random.
             shortcut: Whether to shorten the path.
 
@@ -107,8 +108,10 @@ class Planner:
         self._require_free("start", first[None])
         goals = self.goals(goal, start=first, seed=seed) if isinstance(goal, Pose) else self._joints("goal", goal)
         goals = self._require_free("goal", goals)
-        nearest = float(self.checker.clearance_rows(np.vstack([first, goals]), self.margin + INSIDE)[0].min())
-        margin = max(min(self.margin, nearest - INSIDE), 0.0)
+        room = self.checker.clearance_rows(np.vstack([first, goals]), self.margin + INSIDE)[0] - INSIDE
+        best = float(room[1:].max())
+        margin = max(min(self.margin, float(room[0]), best), 0.0)
+        goals = goals[room[1:] >= min(margin, best)]
         step = STEP if margin >= STEP / 2 else max(2.0 * margin, STEP / 5)
         hits = self.checker.first_hit_rows(np.broadcast_to(first, goals.shape), goals, step, TURN, margin)[0]
         direct = goals[np.isinf(hits)]

@@ -4,18 +4,16 @@ Each camera has frames at its own rate, in simulated time since the episode's st
 steps appears at the later one. Rates are ratios of integers, so a camera of 30 frames/s has exactly 30 frames in each
 second at 100 control steps/s, however long the episode.
 
-A `CameraFeed` draws within a step and a `RenderThread` beside it. `DelayedFrames` holds their frames back, as the bus
-and the driver of a real camera do.
+A `CameraFeed` draws within a step and a `RenderThread` beside it.
 """
 
 from __future__ import annotations
 
+import math
 import threading
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +23,6 @@ from rcs.errors import InvalidSetup
 from rcs.sim.camera import FrameArrays, SimCameras, Snapshot
 from rcs.sim.splitmix import branch, numbered
 from rcs.sim.world import Copies, World
-
-if TYPE_CHECKING:  # stacks of frames have this clock, too
-    from rcs.sim.pixels import PixelFeed
-
-ROUNDING = 1e-9
-"""Sums of physics steps are not exact; a frame that is due this much later has arrived [s]."""
 
 
 class FrameRate(Record):
@@ -50,7 +42,7 @@ class FrameRate(Record):
 class FrameClock:
     """Tracks which cameras of which copies have a new frame. Episodes begin with one."""
 
-    memory = ("numbers", "_start_times", "_next_times")
+    memory = ("numbers", "keys", "_start_times", "_next_times")
 
     def __init__(self, world: World, rates: Mapping[str, FrameRate]) -> None:
         """Start counting.
@@ -96,6 +88,13 @@ class FrameClock:
         if self._is_synchronous:
             return False
         return self._frames_per_tick[name] >= 1 and self._rates[name].longest_exposure <= self._tick
+
+    def most_frames(self, name: str, duration: float) -> int:
+        """Return a bound of the number of a camera's frames that are taken in a time [s]."""
+        rate = self._rates[name].fps
+        if not self._is_synchronous:
+            rate = min(rate, 1.0 / self._tick)
+        return math.ceil(duration * rate) + 2  # a frame that is due early may be taken late, and steps vary in length
 
     def take(self) -> dict[str, NDArray[np.bool_]]:
         """Return which copies have a new frame since the last call, (copies,) for each camera."""
@@ -283,111 +282,3 @@ class RenderThread:
         self._thread = self._drawing = None
         self._drawn.clear()
         self._cameras.close()
-
-
-class _Frame(NamedTuple):
-    """Frames of a camera after one step."""
-
-    arrays: FrameArrays
-    times: NDArray[np.float64]
-    """When each copy was as its frame shows it [s], in simulated time or on the host's monotonic clock; when the frame
-    can be seen; and when it was drawn, on the host's clock; (3, copies)."""
-
-
-class DelayedFrames:
-    """Holds back the frames of a feed and takes its place, for one copy and for many.
-
-    An episode begins with a frame that is new. From then on, a step sees the newest frame that has arrived: one that
-    was captured at or before the end of the step less the latency. Frames are captured at the ends of steps, so their
-    ages are at least the latency, and less than one period of steps or of the camera more.
-    """
-
-    def __init__(
-        self,
-        feed: CameraFeed | RenderThread | PixelFeed,
-        clock: FrameClock,
-        world: World,
-        latency: Callable[[], Mapping[str, NDArray[np.float64]]],
-        jitter: float = 0.0,
-    ) -> None:
-        """Hold back the frames of a feed.
-
-        Args:
-            feed: The newest frames.
-            clock: The feed's.
-            world: The world of the cameras.
-            latency: Returns the present latency of each camera by name [s], (*leading,).
-            jitter: Largest time that a single frame takes longer [s]; drawn anew for each frame.
-        """
-        self._feed = feed
-        self._clock = clock
-        self._world = world
-        self._latency = latency
-        self._jitter = jitter
-        self._is_real = isinstance(feed, RenderThread)
-        self._waiting: dict[str, list[_Frame]] = {}
-        self._numbers: dict[str, NDArray[np.int64]] = {}
-        self.capture_times: dict[str, Any] = {}
-        """When each camera's frame was drawn [s], on the monotonic clock; of many copies, (copies,)."""
-        self.ages: dict[str, NDArray[np.float64]] = {}
-        """How old each camera's frame is [s], (*leading,): in simulated time, or in real time on the wall clock."""
-
-    def read(self) -> dict[str, FrameArrays]:
-        """Return the newest frame of each camera that has arrived, as the feed gives them; arrays are read-only."""
-        newest, latency = self._feed.read(), self._latency()
-        now = np.array([time.perf_counter()]) if self._is_real else np.array(np.atleast_1d(self._world.time))
-        return {name: self._read(name, arrays, now, latency[name]) for name, arrays in newest.items()}
-
-    def _read(
-        self, name: str, arrays: FrameArrays, now: NDArray[np.float64], latency: NDArray[np.float64]
-    ) -> FrameArrays:
-        waiting = self._waiting.setdefault(name, [])
-        waiting.insert(0, self._take(name, arrays, now, latency, waiting[0] if waiting else None))
-        # For each copy, the first one that has arrived. That of an episode's start always has, before those of others.
-        chosen = np.stack([one.times[1] <= now + ROUNDING for one in waiting]).argmax(axis=0)
-        del waiting[int(chosen.max()) + 1 :]
-        captured, _, drawn = np.take_along_axis(np.stack([one.times for one in waiting]), chosen[None, None], axis=0)[0]
-        leading = self._world.leading
-        self.ages[name] = (now - captured).reshape(leading)
-        self.capture_times[name] = drawn if leading else float(drawn[0])
-        if (chosen == chosen[0]).all():
-            return dict(waiting[int(chosen[0])].arrays)
-        return {key: _pick([one.arrays[key] for one in waiting], chosen) for key in arrays}
-
-    def _take(
-        self,
-        name: str,
-        arrays: FrameArrays,
-        now: NDArray[np.float64],
-        latency: NDArray[np.float64],
-        before: _Frame | None,
-    ) -> _Frame:
-        is_start = np.array(self._clock.steps == 0) | (before is None)
-        numbers = self._clock.numbers[name].copy()
-        drawn = np.full(len(now), self._feed.capture_times[name])
-        captured = drawn if self._is_real else now
-        arrives = captured + np.reshape(latency, -1) + self._jitter * self._drawn_jitter(name, numbers)
-        times = np.stack([captured, np.where(is_start, -np.inf, arrives), drawn])
-        if before is not None:
-            has_new = drawn != before.times[2] if self._is_real else numbers != self._numbers[name]
-            times = np.where(is_start | has_new, times, before.times)
-        self._numbers[name] = numbers
-        return _Frame(arrays, times)
-
-    def _drawn_jitter(self, name: str, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return a number 0 … 1 for each copy, determined by episode, camera and frame."""
-        return numbered(branch(self._clock.keys, f"late {name}"), numbers)
-
-    def close(self) -> None:
-        """Close the feed."""
-        self._waiting.clear()
-        self._feed.close()
-
-
-def _pick(entries: list[NDArray[Any]], chosen: NDArray[np.intp]) -> NDArray[Any]:
-    """Return for each copy its row of the entry that is chosen for it."""
-    picked = entries[0].copy()
-    for i, entry in enumerate(entries[1:], start=1):
-        picked[chosen == i] = entry[chosen == i]
-    picked.flags.writeable = False
-    return picked

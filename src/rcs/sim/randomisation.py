@@ -85,7 +85,7 @@ class Randomisation(Record):
     late_actions: UpToHalf = _presets(0.0, mild=0.0, default=0.01, strong=0.05)
     """Share of the steps whose action does not arrive in time: the previous one is repeated, and the action comes with
     the next step. Synchronous steps are never late."""
-    # Written by sim/camera_feed.py.
+    # Written by sim/delayed_frames.py.
     frame_latency: tuple[Share, Share] = _presets((0, 0), mild=(0, 0.035), default=(0, 0.07), strong=(0, 0.125))
     """Time from the capture of a frame until an observation has it, of each camera [s]. A D435 takes 9 ms for depth and
     66 ms for colour (realsense-ros, issue 2686)."""

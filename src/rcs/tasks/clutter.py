@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
-from rcs.envs.task import Area
+from rcs.envs.task import Area, Circle
 from rcs.sim.model_rows import ModelRows
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import FLOOR_HEIGHT, Scene
@@ -20,8 +21,6 @@ from rcs.tasks.lifting import table_height, upright
 from rcs.tasks.table_task import FreeBody
 
 Places = NDArray[np.float64]
-Circle = tuple[Places, Places | float]
-"""A circle on the table that stays free: its middle in the scene, (*leading, 2) or longer [m], and radius [m]."""
 
 MOST_DISTRACTORS = 16
 """Most distractors in a scene."""
@@ -67,9 +66,13 @@ class _Scattered:
             count: How many.
             scale: Factor on their extents and distances, such as an area's `object_scale`.
         """
-        self.names = [f"{self.kind} {i}" for i in range(count)]
-        """Names of their bodies and geoms."""
+        self._numbers = list(range(count))
         self._scale = scale
+
+    @property
+    def names(self) -> list[str]:
+        """Names of their bodies and geoms."""
+        return [f"{self.kind} {number}" for number in self._numbers]
 
     def _look_up(self, world: World) -> None:
         self._world = world
@@ -77,7 +80,8 @@ class _Scattered:
 
     def _away(self, i: int) -> tuple[float, float]:
         """Return a free place on the floor, behind the table."""
-        return (1.2 + 0.1 * (i % 4), self.row + 0.1 * (i // 4))
+        number = self._numbers[i]
+        return (1.2 + 0.1 * (number % 4) + 0.4 * (number // 16), self.row + 0.1 * (number % 16 // 4))
 
     def _draw(self, streams: EpisodeRandom) -> Places:
         """Return numbers 0 … 1 of one shape for all copies, whatever their bounds are, (*leading, tries, 3)."""
@@ -103,7 +107,10 @@ class Distractors(_Scattered):
     kind, tries, row = "distractor", 24, -0.15
 
     def furnish(self, scene: Scene) -> None:
-        """Add them to a scene before it is compiled."""
+        """Add them to a scene before it is compiled, numbered after those that it has already."""
+        taken = {body.name for body in scene.spec.bodies}
+        free = (number for number in itertools.count() if f"{self.kind} {number}" not in taken)
+        self._numbers = list(itertools.islice(free, len(self._numbers)))
         half = self._scale * (np.array(HALF_LOW) + HALF_HIGH) / 2
         for i, name in enumerate(self.names):
             is_round = i % 2 == 1
@@ -135,7 +142,7 @@ class Distractors(_Scattered):
         area: Area,
         occupied: Iterable[Circle] = (),
         around: Circle | None = None,
-    ) -> None:
+    ) -> list[Circle]:
         """Draw the distractors of the next episodes of some copies.
 
         Args:
@@ -144,9 +151,12 @@ class Distractors(_Scattered):
             area: Where distractors lie, with their middles.
             occupied: Circles that other objects take, of exactly these copies.
             around: Part of the area in which they lie, a square around a circle; None for all of it.
+
+        Returns:
+            The circles that they take on the table.
         """
         if not self.names:
-            return
+            return []
         streams, count = random.branch("distractors"), len(self.names)
         half = self._scale * streams.uniform(np.tile(HALF_LOW, (count, 1)), np.tile(HALF_HIGH, (count, 1)))
         half[..., 1::2, 1] = half[..., 1::2, 0]  # cylinders are round
@@ -154,7 +164,8 @@ class Distractors(_Scattered):
         shades = streams.uniform(np.zeros((count, 3)), np.ones((count, 3)))
         self._colours.write(_colours(shades), None if where is ... else where)
         low, high = _corners(area, around)
-        circles = list(occupied)
+        others = list(occupied)
+        circles: list[Circle] = []
         for i in range(count):
             x, y, z = (half[..., i, axis] for axis in range(3))
             radius = x if i % 2 else np.sqrt(x * x + y * y)
@@ -162,9 +173,10 @@ class Distractors(_Scattered):
             places[..., :2] = low[..., None, :] + (high - low)[..., None, :] * places[..., :2]
             places[..., 2] = np.pi * (2.0 * places[..., 2] - 1.0)
             is_free = np.ones(places.shape[:-1], np.bool_)
-            for center, own in circles:
+            for center, own in [*others, *circles]:
                 is_free &= _are_apart(places, center, np.asarray(radius + own + GAP)[..., None])
             circles.append((self._put(i, places, is_free, z, where), radius))
+        return circles
 
 
 class Obstacles(_Scattered):

@@ -11,7 +11,7 @@ from rcs_data.options import Meta
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
-from rcs.envs.task import Area, Judgement
+from rcs.envs.task import Area, Circle, Judgement
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
@@ -104,6 +104,7 @@ class PickCuboid(TableTask):
         """Edges of the cuboid here [m], unless they are random."""
         self._distractors = Distractors(self.options.distractors, scale=area.object_scale)
         self._obstacles = Obstacles(self.options.obstacles, scale=area.object_scale)
+        self._occupied: list[Circle] = []
 
     def furnish(self, scene: Scene) -> None:
         """Add a table and the cuboid."""
@@ -148,11 +149,16 @@ class PickCuboid(TableTask):
         pose[..., 2] += self._table[where] - lowest(pose, self._half_edges[where])
         self.bodies[CUBOID].place(pose, where)
         scale = self.area.object_scale
-        occupied = [(middle, scale * FREE), *self._obstacles.reset(random, where, middle)]
+        posts = self._obstacles.reset(random, where, middle)
         around = (middle, np.full(middle.shape[:-1], scale * NEAR))
-        self._distractors.reset(random, where, self.area, occupied, around=around)
+        occupied = [(middle, scale * FREE), *posts]
+        self._occupied = posts + self._distractors.reset(random, where, self.area, occupied, around=around)
         self._held.reset(where)
         self._grip.reset()
+
+    def occupied(self) -> list[Circle]:
+        """Return the circles of posts and distractors."""
+        return self._occupied
 
     def _lying(self, random: EpisodeRandom) -> NDArray[np.float64]:
         """Return the cuboid's orientations as poses (*leading, 7) without a translation."""

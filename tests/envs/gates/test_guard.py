@@ -24,9 +24,8 @@ from rcs.errors import Refused
 from rcs.robots.fr3 import FR3
 from rcs.sim import Scene
 from rcs.tasks.free import Free
-from rcs.tasks.pick_cuboid import PickCuboid
 from rcs.virtual import StandInArm
-from tests.envs.gates.ways import DOWN, HOME, OPEN, ask
+from tests.envs.gates.ways import DOWN, HOME, OPEN, ask, lift_above_plate, make_beside_plate
 
 
 class Plate(Free):
@@ -191,32 +190,11 @@ def test_experts_still_do_their_work_under_guard(task: str, robot: str) -> None:
     assert all(successes)
 
 
-class PickBesidePlate(PickCuboid):
-    """The task of picking, and a plate that can be put anywhere."""
-
-    def furnish(self, scene: Scene) -> None:
-        super().furnish(scene)
-        plate = scene.spec.worldbody.add_body(name="plate", mocap=True, pos=(0.0, 5.0, 0.0))
-        plate.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.15, 0.15, 0.001))
-
-
 def test_what_a_gripper_holds_is_part_of_the_robot() -> None:
-    with rcs.make(PickBesidePlate, control="tquat", relative=False, max_episode_steps=None, gates=["Guard"]) as env:
-        agent = agent_for(env, None)
-        observation, info = env.reset(seed=0)
-        agent.reset(observation, info)
-        for _ in range(200):
-            observation, *_, info = env.step(agent.act(observation, info))
-            if info["is_grasped"] and info["cuboid"][2] > 0.12:
-                break
-        assert info["is_grasped"]
-        target = {"tquat": observation["tquat"].copy(), "gripper": np.zeros(1, np.float32)}
-        for _ in range(20):
-            *_, info = env.step(target)
-        world, cuboid = env.simulation.world, env.simulation.world.data.body("cuboid")
-        # Below the cuboid, which reaches lower than the fingers.
-        bottom = cuboid.xpos[2] - 0.5 * info["edges"][2]
-        world.data.mocap_pos[0] = (cuboid.xpos[0], cuboid.xpos[1], bottom - 0.03)
+    with make_beside_plate() as env:
+        target = lift_above_plate(env)
+        world = env.simulation.world
+        info: dict[str, Any] = {}
         for _ in range(40):
             target["tquat"][2] -= 0.002
             *_, info = env.step(target)
@@ -225,6 +203,42 @@ def test_what_a_gripper_holds_is_part_of_the_robot() -> None:
         assert "'cuboid'" in info["refused"]
         assert "'plate'" in info["refused"]
         assert world.data.body("cuboid").xpos[2] - 0.5 * info["edges"][2] > world.data.mocap_pos[0][2] + 0.008
+
+
+def test_what_a_gripper_holds_it_holds_where_its_way_is_cut() -> None:
+    with make_beside_plate(on_hit="clip") as env:
+        target = lift_above_plate(env)
+        fractions = []
+        for _ in range(40):
+            target["tquat"][2] -= 0.002
+            *_, info = env.step(target)
+            fractions.append(info["guard_fraction"])
+            assert info["is_grasped"]
+        assert min(fractions) < 1.0
+        world = env.simulation.world
+        assert world.data.body("cuboid").xpos[2] - 0.5 * info["edges"][2] > world.data.mocap_pos[0][2] + 0.008
+
+
+class Post(Free):
+    """A thin post between the fingers, where the robot starts."""
+
+    def furnish(self, scene: Scene) -> None:
+        super().furnish(scene)
+        post = scene.spec.worldbody.add_body(name="post", mocap=True, pos=(0.0, 5.0, 0.0))
+        post.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.01, 0.01, 0.02))
+
+
+def test_fingers_do_not_close_on_what_they_must_not_touch() -> None:
+    with rcs.make(Post, relative=False, gates={"Guard": {"on_hit": "clip", "touch": ()}}) as env:
+        observation, _ = env.reset(seed=0)
+        world = env.simulation.world
+        world.data.mocap_pos[0] = world.data.site("fr3/gripper/tcp").xpos
+        closed = {"joints": observation["joints"].copy(), "gripper": np.zeros(1, np.float32)}
+        for _ in range(20):
+            observation, *_, info = env.step(closed)
+            assert info["guard_fraction"] < 1.0
+            assert world.data.ncon == 0
+        assert observation["gripper"] > 0.9
 
 
 def test_a_real_arm_is_guarded_in_the_scene_that_its_body_is_in() -> None:

@@ -11,6 +11,7 @@ import rcs
 from rcs.envs import Guard
 from rcs.errors import InvalidSetup, Refused, UnknownName
 from rcs.robots.fr3 import FR3
+from rcs.sim.randomisation import Randomisation
 from tests.envs.gates.ways import DOWN, HOME, OPEN, ask
 
 
@@ -58,6 +59,29 @@ def test_clipped_the_arm_goes_as_far_as_it_may_and_not_farther() -> None:
         up, *_ = env.step({"joints": observation["joints"] - np.array([0, 0.05, 0, 0, 0, 0, 0]), "gripper": OPEN})
         assert env.stack.gates[0].info()["guard_fraction"] == 1.0
         assert up is not None
+
+
+def test_copies_are_late_and_cut_as_each_would_be_alone() -> None:
+    late = Randomisation.off(late_actions=0.4)
+    options: dict[str, Any] = {"gates": {"Guard": {"on_hit": "clip"}}, "max_episode_steps": None, "randomisation": late}
+    steps = np.zeros((3, 7))
+    steps[0, 0], steps[1], steps[2, 4] = 0.02, 0.02 * DOWN, -0.02  # one alone goes down to the table
+    envs = rcs.make_vec("PickCuboid", copies=3, threads=2, **options)
+    envs.reset(seed=[5, 6, 7])
+    rows = []
+    for _ in range(60):
+        observations, *_, infos = envs.step({"joints": steps, "gripper": np.ones((3, 1), np.float32)})
+        rows.append((observations["joints"].copy(), infos["guard_fraction"].copy(), infos["is_late"].copy()))
+    envs.close()
+    assert min(fraction[1] for _, fraction, _ in rows) < 1.0
+    for copy in range(3):
+        with rcs.make("PickCuboid", **options) as env:
+            env.reset(seed=5 + copy)
+            for joints, fraction, is_late in rows:
+                observation, *_, info = env.step({"joints": steps[copy], "gripper": OPEN})
+                np.testing.assert_array_equal(observation["joints"], joints[copy])
+                assert info["guard_fraction"] == fraction[copy]
+                assert info["is_late"] == is_late[copy]
 
 
 def test_copies_are_cut_as_each_would_be_alone() -> None:

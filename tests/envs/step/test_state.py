@@ -17,6 +17,7 @@ from rcs.agents import agent_for
 from rcs.envs.setup import Setup
 from rcs.envs.step.judge import row
 from rcs.errors import InvalidSetup, WrongOrder
+from rcs.sim.randomisation import Randomisation
 from rcs.testing.env_contract import require_same_bits
 
 TASKS = sorted(entry.name for entry in entry_points(group="rcs.tasks"))
@@ -235,20 +236,46 @@ def test_a_hold_before_the_state_was_read_counts() -> None:
     require_same_bits(run(env, actions), expected)
 
 
+CAMERAS = rcs.Cameras(names=("side", "wrist"), fps={"side": 6.0}, image_size=(32, 24))
+
+
 @pytest.mark.gl
-def test_frames_that_are_shown_again_are_part_of_a_state() -> None:
-    setup = Setup(
-        task="PickCuboid", cameras=rcs.Cameras(names=("side", "wrist"), fps={"side": 6.0}, image_size=(32, 24))
-    )
+@pytest.mark.parametrize("ranges", [None, Randomisation.off(frame_latency=(0.07, 0.07))], ids=["at once", "late"])
+@pytest.mark.parametrize("stepping", ["async", "sync"])
+def test_frames_that_are_shown_again_are_part_of_a_state(stepping: Any, ranges: Randomisation | None) -> None:
+    setup = Setup(task="PickCuboid", cameras=CAMERAS, randomisation=ranges, stepping=stepping)
     one, other = rcs.make(setup), rcs.make(setup)
     one.reset(seed=0)
     other.reset(seed=1)
     actions = drawn(one, 8)
-    run(one, actions[:3])
+    seen = run(one, actions[:3])[-1][0]
+    run(other, actions[3:])
     state = pickle.loads(pickle.dumps(one.get_state()))
     expected = run(one, actions)
-    other.set_state(state)
+    require_same_bits(other.set_state(state), seen)
     require_same_bits(run(other, actions), expected)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("pixels", [None, rcs.Pixels(stack=2)], ids=["frames", "pixels"])
+def test_copies_and_single_environments_go_on_with_each_others_late_frames(pixels: rcs.Pixels | None) -> None:
+    ranges = Randomisation.off(frame_latency=(0.0, 0.1), frame_jitter=0.03)
+    setup = Setup(task="PickCuboid", cameras=replace(CAMERAS, pixels=pixels), randomisation=ranges)
+    batch, single = rcs.make_vec(setup, copies=3), rcs.make(setup)
+    batch.reset(seed=7)
+    single.reset(seed=70)
+    run(batch, drawn(batch, 4))
+    actions = drawn(single, 6)
+    run(single, actions)
+    own, of_copy = single.get_state(), batch.get_state([1])
+    batch.set_state(own, [2])
+    expected_own = run(single, actions)
+    single.set_state(of_copy)
+    expected_copy = run(single, actions)
+    together = [_three(action) for action in actions]
+    for step, mine, theirs in zip(run(batch, together), expected_own, expected_copy, strict=True):
+        require_same_bits(of(step, 2), of_single(mine))
+        require_same_bits(of(step, 1), of_single(theirs))
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,15 @@ import rcs
 from rcs.envs.variation.clutter import ROOM
 from rcs.sim.randomisation import Randomisation
 from rcs.sim.scene import FLOOR_HEIGHT
+from rcs.tasks.clutter import GAP, HALF_WIDTH
 
 CLUTTER = Randomisation.off(distractors=4, table_height=0.02)
 
 
-def distractors(env: Any) -> np.ndarray:
-    """Return the places of the distractors, (*leading, 4, 3)."""
+def distractors(env: Any, numbers: range = range(4)) -> np.ndarray:
+    """Return the places of the distractors, (*leading, len(numbers), 3)."""
     world = env.simulation.world
-    first = [int(world.model.joint(f"distractor {i}").qposadr[0]) for i in range(4)]
+    first = [int(world.model.joint(f"distractor {i}").qposadr[0]) for i in numbers]
     return np.stack([world.qpos[..., i : i + 3] for i in first], axis=-2)
 
 
@@ -58,3 +59,28 @@ def test_each_copy_has_the_clutter_of_its_single_environment_and_the_task_starts
         at, usual = (env.simulation.object_poses()["cuboid"] for env in (single, plain))
         np.testing.assert_array_equal(at[:2], usual[:2])
         np.testing.assert_array_equal(at[3:], usual[3:])
+
+
+def test_distractors_stand_beside_the_posts_and_the_distractors_of_the_task() -> None:
+    options = {"obstacles": 6, "distractors": 4}
+    env: Any = rcs.make("PickCuboid", task_options=options, randomisation=Randomisation.off(distractors=6))
+    on_table = 0
+    for seed in range(10):
+        env.reset(seed=seed)
+        posts = env.simulation.world.data.mocap_pos
+        own, others = distractors(env), distractors(env, range(4, 10))
+        is_on_table = others[:, 2] > 0.5 * FLOOR_HEIGHT
+        on_table += is_on_table.sum()
+        for place in others[is_on_table]:
+            assert (np.linalg.norm(posts[:, :2] - place[:2], axis=-1) > np.sqrt(2.0) * HALF_WIDTH + GAP).all()
+            assert (np.linalg.norm(own[:, :2] - place[:2], axis=-1) > 2 * 0.012 + GAP).all()
+        every = np.concatenate([own, others])
+        apart = np.linalg.norm(every[:, None, :2] - every[None, :, :2], axis=-1) + np.eye(len(every))
+        assert apart.min() > 2 * 0.012 + GAP
+    assert on_table >= 10
+
+
+def test_a_task_with_distractors_of_its_own_takes_those_of_a_strong_randomisation() -> None:
+    with rcs.make("PickCuboid", task_options={"distractors": 4}, randomisation="strong") as env:
+        env.reset(seed=0)
+        assert len(distractors(env, range(8))) == 8

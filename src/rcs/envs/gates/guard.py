@@ -150,7 +150,7 @@ class Guard(Gate):
                 joints = commanded
             self._commanded = {**self._commanded, name: joints}
         self._motions.stand(self._of_copy(self._commanded, 0))
-        self._floors.clear()
+        self._floors = {key: own for key, own in self._floors.items() if where is not ... and key[0] not in where}
 
     def rebase(self, measured: Mapping[str, Observation]) -> None:
         """Count from where the robots are."""
@@ -175,13 +175,15 @@ class Guard(Gate):
         scene = self._require_scene()
         here = scene.vector(measured, measured)
         fingers = scene.vector(measured, targets)
+        closing = scene.vector(measured, _without_opening(targets, measured))
         goal = {name: np.asarray(targets[name][JOINTS], np.float64) for name in self._names}
         if self._is_batch:
-            parts = [self._part_of(copy, here[copy], fingers[copy], goal) for copy in range(len(here))]
+            rows = enumerate(zip(here, fingers, closing, strict=True))
+            parts = [self._part_of(copy, *joints, goal) for copy, joints in rows]
             self._fraction = np.array([part.fraction for part in parts])
             self._must_hold = np.array([part.must_hold for part in parts])
         else:
-            part = self._part_of(0, here, fingers, goal)
+            part = self._part_of(0, here, fingers, closing, goal)
             self._fraction = part.fraction
             self._must_hold = np.array(part.must_hold)
             if part.must_hold and not (self.on_hit == "clip" and self._motions.can_hold()):
@@ -200,6 +202,7 @@ class Guard(Gate):
         copy: int,
         here: NDArray[np.float64],
         fingers: NDArray[np.float64],
+        closing: NDArray[np.float64],
         goal: Mapping[str, NDArray[np.float64]],
     ) -> _Part:
         """Return how much of the way of one copy is free.
@@ -208,6 +211,7 @@ class Guard(Gate):
             copy: The copy.
             here: All joints as measured, (dof,).
             fingers: The same with the fingers at their targets.
+            closing: The same with the fingers at their targets, but none that opens.
             goal: Targets of the arms, (*leading, dof) each.
         """
         self._require_scene().look(copy, here)
@@ -224,12 +228,17 @@ class Guard(Gate):
                     hit = middle
                 else:
                     free = middle
-            if free > 0.0 or not self._sweep(copy, here, here, self._motions.ways(copy, start)):
-                return _Part(free, why)
+            way = self._motions.ways(copy, {name: start[name] + free * (asked[name] - start[name]) for name in asked})
+            if free > 0.0 or not self._sweep(copy, here, here, way):
+                return _Part(free, why, may_close=not self._sweep(copy, here, closing, way))
         held = self._motions.ways(copy, None)
         rest = dict(zip(asked, (way[-1] for way in held), strict=True))
-        is_free = self.on_hit == "clip" and not self._sweep(copy, here, here, self._motions.ways(copy, rest))
-        return _Part(0.0, why, rest, must_hold=not is_free)
+        if self.on_hit != "clip":
+            return _Part(0.0, why, rest, must_hold=True)
+        way = self._motions.ways(copy, rest)
+        if must_hold := bool(self._sweep(copy, here, here, way)):
+            way = [own[:1] for own in held]  # fingers close at least where they are
+        return _Part(0.0, why, rest, must_hold, may_close=not self._sweep(copy, here, closing, way))
 
     def _of_copy(self, joints: Mapping[str, NDArray[np.float64]], copy: int) -> dict[str, NDArray[np.float64]]:
         """Return the joints of one copy, by the names of the robots."""
@@ -281,7 +290,7 @@ class Guard(Gate):
     def _cut(
         self, targets: Mapping[str, Action], measured: Mapping[str, Observation], parts: Sequence[_Part]
     ) -> Mapping[str, Action]:
-        """Return the targets with every copy cut to its part of the way; fingers stay where a way is cut."""
+        """Return the targets with every copy cut to its part of the way; fingers may close where a way is cut."""
         cut: dict[str, Action] = {name: dict(own) for name, own in targets.items()}
 
         def of(values: list[Any]) -> NDArray[Any]:
@@ -289,6 +298,8 @@ class Guard(Gate):
 
         fraction = of([[part.fraction] for part in parts])
         is_held = of([[part.rest is not None] for part in parts])
+        may_close = of([[part.may_close] for part in parts])
+        closing = _without_opening(targets, measured)
         for name, robot in zip(self._names, self._robots, strict=True):
             start, goal = self._commanded[name], np.asarray(targets[name][JOINTS])
             rest = [np.zeros(robot.arm.dof) if part.rest is None else part.rest[robot.name] for part in parts]
@@ -297,8 +308,9 @@ class Guard(Gate):
             cut[name][JOINTS] = np.where(is_held, of(rest), mine)
             for key in (GRIPPER, HAND):
                 if key in cut[name]:
-                    goal, start = np.asarray(targets[name][key]), np.asarray(measured[name][key])
-                    cut[name][key] = np.where(fraction == 1.0, goal, start).astype(goal.dtype)
+                    goal = np.asarray(targets[name][key])
+                    kept = np.where(may_close, closing[name][key], measured[name][key])
+                    cut[name][key] = np.where(fraction == 1.0, goal, kept).astype(goal.dtype)
         return cut
 
     def _require_scene(self) -> GuardedScene:
@@ -324,3 +336,19 @@ class _Part:
     """Joints at which the arms come to rest when they brake now, where even the last command may not continue."""
     must_hold: bool = False
     """Whether the arms must brake now, as nothing else is free."""
+    may_close: bool = False
+    """Whether fingers may go on closing, which keeps what they hold; if not, they stay where they are measured."""
+
+
+def _without_opening(
+    targets: Mapping[str, Action], measured: Mapping[str, Observation]
+) -> dict[str, dict[str, NDArray[Any]]]:
+    """Return targets of fingers, none of which opens: grippers open no farther than measured, and hands stay."""
+    return {
+        name: {
+            key: np.minimum(own[key], measured[name][key]) if key == GRIPPER else np.asarray(measured[name][key])
+            for key in (GRIPPER, HAND)
+            if key in own
+        }
+        for name, own in targets.items()
+    }

@@ -34,6 +34,9 @@ WALL_THICKNESS = 0.2
 SLIP, SLIP_TURN = 1e-3, 0.02
 """A held object that has moved by less in the hand is where it was [m, rad]."""
 
+Held = dict[int, tuple[int, Pose]]
+"""Held objects: by body id, the body that holds the object and its pose in that."""
+
 GEOMETRY = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb", "body_pos", "body_quat")
 """Fields of a model that say where shapes are and how large."""
 
@@ -122,7 +125,10 @@ class GuardedScene:
         """Make the checkers for the present geometry."""
         self._own = self._model.jnt_qposadr[[joint for own in self._joints for joint in own]]
         self._seen: list[NDArray[np.float64]] = []
-        self._held: dict[int, tuple[int, Pose]] = {}
+        self._held: dict[int, Held] = {}
+        """What is held, by copy; where it is in the hand changes only when it slips."""
+        self._attached: Held = {}
+        """What is held in the copy that was seen last."""
         if self._world is not None:
             for name in GEOMETRY:
                 values: NDArray[Any] = getattr(self._world.model, name)
@@ -165,18 +171,21 @@ class GuardedScene:
             self._seen = state
             for checker in (self.near, self.far):
                 checker.set_state(*state)
-        self._hold(held)
+        self._hold(copy, held)
 
-    def _hold(self, held: dict[int, tuple[int, Pose]]) -> None:
-        """Have held objects move with what holds them."""
-        for body in self._held.keys() - held.keys():
+    def _hold(self, copy: int, held: Held) -> None:
+        """Have the objects that are held in a copy move with what holds them."""
+        before = self._held.get(copy, {})
+        slipped = changed(before, held, SLIP, SLIP_TURN)
+        now = {body: held[body] if body in slipped else before[body] for body in held}
+        for body in self._attached.keys() - now.keys():
             for checker in (self.near, self.far):
                 checker.detach(body)
-        for body in changed(self._held, held, SLIP, SLIP_TURN):
-            for checker in (self.near, self.far):
-                checker.attach(body, *held[body])
-            self._held = {**self._held, body: held[body]}
-        self._held = {body: self._held[body] for body in held}
+        for body, place in now.items():
+            if self._attached.get(body) is not place:
+                for checker in (self.near, self.far):
+                    checker.attach(body, *place)
+        self._held[copy] = self._attached = now
 
     def vector(
         self, values: Mapping[str, Mapping[str, Any]], fingers: Mapping[str, Mapping[str, Any]]
@@ -298,9 +307,9 @@ class HeldObjects:
     def _collides(self, geom: int) -> bool:
         return bool(self._model.geom_contype[geom] or self._model.geom_conaffinity[geom])
 
-    def find(self, qpos: NDArray[np.float64]) -> dict[int, tuple[int, Pose]]:
-        """Return what is held in a state (nq,): by body id, the body that holds the object and its pose in that."""
-        held: dict[int, tuple[int, Pose]] = {}
+    def find(self, qpos: NDArray[np.float64]) -> Held:
+        """Return what is held in a state (nq,)."""
+        held: Held = {}
         if not self._objects:
             return held
         model, data = self._model, self._data
@@ -329,9 +338,7 @@ class HeldObjects:
         return Pose(self._data.xpos[body], [x, y, z, w])
 
 
-def changed(
-    before: dict[int, tuple[int, Pose]], now: dict[int, tuple[int, Pose]], distance: float, turn: float
-) -> Collection[int]:
+def changed(before: Held, now: Held, distance: float, turn: float) -> Collection[int]:
     """Return the objects that are held anew, by something else, or that have slipped by more than that [m, rad]."""
 
     def is_same(body: int) -> bool:

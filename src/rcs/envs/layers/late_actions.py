@@ -74,13 +74,17 @@ class LateActions(Layer):
         return sent
 
     def map_executed(self, executed: Action) -> Action:
-        """Return the requested action, unless another one was sent than this layer chose."""
+        """Return the requested action, but for copies that were sent another one than this layer chose."""
         if self._mapped is None:
             raise RuntimeError("LateActions.map_executed was called before map_action")
         asked, sent, is_late = self._mapped
-        is_as_wanted = all(executed[key] is value for key, value in sent.items())
-        self._last = asked if is_as_wanted else executed
-        self._is_late = is_late if is_as_wanted else np.zeros_like(is_late)
+        if all(executed[key] is value for key, value in sent.items()):
+            self._last, self._is_late = asked, is_late
+        else:
+            is_as_wanted = np.logical_and.reduce([(executed[key] == value).all(-1) for key, value in sent.items()])
+            wanted = is_as_wanted[..., None]
+            self._last = {key: np.where(wanted, asked[key], value) for key, value in executed.items()}
+            self._is_late = is_late & is_as_wanted
         self._steps = self._steps + 1
         return self._last
 

@@ -15,7 +15,8 @@ from rcs.envs.ports.port import Port
 from rcs.envs.spaces import Observation
 from rcs.envs.variation.randomiser import Randomiser
 from rcs.sim.camera import Quality, SimCameras
-from rcs.sim.camera_feed import CameraFeed, DelayedFrames, FrameClock, RenderThread
+from rcs.sim.camera_feed import CameraFeed, FrameClock, RenderThread
+from rcs.sim.delayed_frames import DelayedFrames
 from rcs.sim.pixels import PixelFeed, Pixels
 from rcs.sim.scene import CameraPlacement
 from rcs.sim.tactile import SimTactile
@@ -41,10 +42,10 @@ class _FramesPort(Port):
         self._delay: DelayedFrames | None = None
         if randomiser is not None and _is_late(randomiser):
             latency = functools.partial(randomiser.by_name, "frame_latency", tuple(frames))
-            jitter = randomiser.ranges.frame_jitter
-            self._feed = self._delay = DelayedFrames(feed, clock, world, latency, jitter)
-        if self._delay is not None or isinstance(feed, RenderThread):
-            self.memory = ()  # frames on their way, and those that a thread draws at times of its own, are not kept
+            longest, jitter = randomiser.ranges.frame_latency[1], randomiser.ranges.frame_jitter
+            self._feed = self._delay = DelayedFrames(feed, clock, world, latency, longest=longest, jitter=jitter)
+        if isinstance(feed, RenderThread):
+            self.memory = ()  # a thread draws at times of its own
 
     def observe(self) -> Observation:
         """Return the newest frame of every camera."""

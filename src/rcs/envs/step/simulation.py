@@ -91,7 +91,8 @@ class Simulation:
         self.task.reset(random, where)
         self.world.refresh(copies)
         if self._clutter is not None:
-            self._clutter.reset(random.branch("randomisation"), where, self.task.area, self._circles.at(where))
+            occupied = [*self._circles.at(where), *self.task.occupied()]
+            self._clutter.reset(random.branch("randomisation"), where, self.task.area, occupied)
             self.world.refresh(copies)
 
     def start_at(self, start: Start) -> None:

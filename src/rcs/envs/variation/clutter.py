@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
-from rcs.envs.task import Area, Task
+from rcs.envs.task import Area, Circle, Task
 from rcs.sim.model_rows import ObjectParts
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
@@ -31,20 +31,18 @@ class Clutter(Protocol):
         ...
 
     def reset(
-        self,
-        random: EpisodeRandom,
-        where: CopyIndex,
-        area: Area,
-        occupied: Iterable[tuple[NDArray[np.float64], NDArray[np.float64]]] = (),
-    ) -> None:
+        self, random: EpisodeRandom, where: CopyIndex, area: Area, occupied: Iterable[Circle] = ()
+    ) -> list[Circle]:
         """Put them somewhere in the next episodes of some copies.
 
         Args:
             random: Random numbers for exactly these copies; they are not advanced.
             where: The copies; `...` for all, or for the only one.
             area: Where they may lie, with their middles.
-            occupied: Circles that stay free, of exactly these copies: the middle in the scene, (*leading, 2) or longer
-                [m], and the radius, (*leading,) [m].
+            occupied: Circles that stay free, of exactly these copies.
+
+        Returns:
+            The circles that they take on the table.
         """
         ...
 
@@ -58,7 +56,7 @@ class ObjectCircles:
         self._task = task
         self._parts: dict[str, ObjectParts] = {}
 
-    def at(self, where: CopyIndex) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    def at(self, where: CopyIndex) -> list[Circle]:
         """Return the present circles of some copies, as `Clutter.reset` takes them; the world is refreshed."""
         poses = self._task.object_poses()
         if not self._parts:
