@@ -259,6 +259,32 @@ def test_after_the_server_has_gone_only_a_reset_connects_anew(kind: str, echo: E
     client.close()
 
 
+def test_a_policy_that_came_in_its_place_must_fit_the_robot_too(
+    kind: str, echo: Echo, observation: Observation
+) -> None:
+    class Wide(Echo):
+        def metadata(self) -> Metadata:
+            return Metadata(name="wide", action=(PartSpec("joints", 7),), rate=10.0)
+
+    make: Any = WebsocketServer if kind == "websocket" else Server
+    pair = Pair(kind, echo)
+    client = pair.connect(timeout=1.0, offer=Offer(action=ACTION))
+    port = pair.server.address.port
+    pair.server.close()
+    with pytest.raises((ConnectionLost, BadMessage)):
+        client.infer(observation)
+    with make(Wide(), port=port):
+        for _ in range(2):
+            with pytest.raises(Mismatch, match="size 7"):
+                client.reset()
+            with pytest.raises(ConnectionLost):
+                client.infer(observation)
+    with make(Echo(), port=port):
+        client.reset("left", "abc")
+        assert client.infer(observation).actions[0, 0] == 3
+    client.close()
+
+
 def test_without_the_token_nobody_gets_in(kind: str, observation: Observation) -> None:
     pair = Pair(kind, Echo(), token="correct horse")
     with pair:

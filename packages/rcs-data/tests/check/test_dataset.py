@@ -7,12 +7,29 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rcs_data import Dataset, check
+import pytest
+from rcs_data import Dataset, check, edit
+from rcs_data.check import dataset as whole_dataset
 
 if TYPE_CHECKING:
     from conftest import MakeMoving
 
 HERE = Path(__file__).parent
+
+
+def test_an_edit_that_came_when_the_index_was_just_read_is_no_damage(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_index = whole_dataset.check_folder
+
+    def read_and_edit(root: Path) -> object:
+        found = read_index(root)
+        edit.trim(root, "000001")
+        (root / "former/000001/frames.zip").unlink()  # as if it were being pruned
+        return found
+
+    monkeypatch.setattr(whole_dataset, "check_folder", read_and_edit)
+    assert {finding.kind for finding in check(dataset).findings} == {"former"}
 
 
 def test_a_check_beside_edits_finds_nothing(tmp_path: Path, moving: MakeMoving) -> None:

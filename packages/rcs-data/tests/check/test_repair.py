@@ -235,14 +235,51 @@ def test_edited_episodes_survive_the_loss_of_the_index(dataset: Path, is_pruned:
     assert not repair(dataset).mendings
 
 
-def test_a_damaged_line_costs_no_edited_episode(dataset: Path) -> None:
-    edit.rename_camera(dataset, "wrist", "hand")
-    edit.prune(dataset)
-    before = contents(dataset)
+def damage_line(dataset: Path) -> None:
+    """Damage the line that the index has of an episode."""
     lines = (dataset / INDEX).read_bytes().split(b"\n")
     place = next(number for number, line in enumerate(lines) if ID.encode() in line)
     lines[place] = lines[place].replace(b'"length"', b'"lengtj"')
     (dataset / INDEX).write_bytes(b"\n".join(lines))
+
+
+def test_a_damaged_line_costs_no_edited_episode(dataset: Path) -> None:
+    edit.rename_camera(dataset, "wrist", "hand")
+    edit.prune(dataset)
+    before = contents(dataset)
+    damage_line(dataset)
     assert any(mending.what == "recovered" and mending.episode == ID for mending in repair(dataset).mendings)
     assert contents(dataset) == before
     assert not check(dataset).damage
+
+
+@pytest.mark.parametrize("episodes", [[ID], None])
+@pytest.mark.parametrize("is_trimmed", [False, True])
+def test_a_damaged_line_costs_no_label(dataset: Path, is_trimmed: bool, episodes: list[str] | None) -> None:
+    edit.relabel(dataset, "pull", episodes=[ID])
+    if is_trimmed:
+        edit.trim(dataset, ID, first=1)
+    edit.relabel(dataset, "push", episodes=episodes)
+    edit.relabel(dataset, "lift", episodes=["000000"])
+    before = {episode.id: episode.entry for episode in Dataset.open(dataset)}
+    damage_line(dataset)
+    repair(dataset)
+    assert {episode.id: episode.entry for episode in Dataset.open(dataset)} == before
+    assert Dataset.open(dataset)[ID].instruction == "push"
+
+
+def test_a_label_that_was_taken_back_stays_so(dataset: Path) -> None:
+    edit.relabel(dataset, "push", episodes=[ID])
+    edit.undo(dataset)
+    damage_line(dataset)
+    repair(dataset)
+    assert Dataset.open(dataset)[ID].instruction == "pick the cuboid"
+
+
+def test_an_edit_after_the_loss_of_the_history_keeps_what_it_wrote(dataset: Path) -> None:
+    edit.trim(dataset, ID, first=1)
+    scribble(dataset / "history/1.jsonl", 20)
+    assert only(dataset).what == "quarantined"
+    edit.trim(dataset, ID, first=1)
+    assert check(dataset).is_ok
+    assert len(Dataset.open(dataset)[ID].column("observation/joints")) == 5

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-from rcs_data import edit
+from rcs_data import Dataset, DatasetWriter, edit
 from rcs_data.check.repair import repair
 
 
@@ -51,6 +51,9 @@ def main(source: Path, folder: Path, name: str, stride: int = 1) -> None:
                 repair(path)
             elif name == "merge":
                 edit.merge([path, source], folder / f"{n}-merged")
+            elif name == "remove":
+                with DatasetWriter.open(path, Dataset.open(path).info, resume=True) as writer:
+                    writer.remove_episode("000001")
             os._exit(0)
         _, status = os.waitpid(child, 0)
         if status == 0:

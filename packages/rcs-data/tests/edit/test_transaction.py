@@ -273,8 +273,8 @@ def fill(path: Path) -> None:
 
 
 def simulate(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no file in a folder grow, unless others have shrunk."""
-    write = os.write
+    """Let no file in a folder grow, and no folder be made, unless others have shrunk."""
+    write, mkdir = os.write, os.mkdir
 
     def used() -> int:
         return sum(path.lstat().st_size for path in disk.rglob("*") if path.is_file())
@@ -285,8 +285,14 @@ def simulate(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             raise OSError(errno.ENOSPC, "No space left on device")
         return write(fd, data)
 
+    def mkdir_if_there_is_space(*args: Any, **kwargs: Any) -> None:
+        if used() >= capacity:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        mkdir(*args, **kwargs)
+
     capacity = used()
     monkeypatch.setattr("os.write", write_if_there_is_space)
+    monkeypatch.setattr("os.mkdir", mkdir_if_there_is_space)
 
 
 def test_a_full_disk_is_freed_by_deleting_and_pruning(full_disk: Path) -> None:
@@ -300,6 +306,16 @@ def test_a_full_disk_is_freed_by_deleting_and_pruning(full_disk: Path) -> None:
     assert check(full_disk).is_ok
     assert [episode.id for episode in Dataset.open(full_disk)] == ["000000", "000002", "open"]
     assert Dataset.open(full_disk)["000002"].content_hash == before
+
+
+def test_the_reserve_for_a_full_disk_grows_with_the_dataset(
+    tmp_path: Path, make_dataset: MakeDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = make_dataset(tmp_path / "disk/set", [2] * 200)
+    simulate(tmp_path / "disk", monkeypatch)
+    edit.delete(path, ["000001"])
+    assert edit.prune(path) > 0
+    assert len(Dataset.open(path)) == 199
 
 
 def test_on_a_full_disk_former_episodes_can_be_pruned_at_once(full_disk: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pyarrow as pa
 import pytest
-from rcs_data.errors import DatasetError
+from rcs_data.errors import CorruptEpisode, DatasetError
 from rcs_data.files.stream import EpisodeHeader, StreamReader, StreamWriter
 
 HEADER = EpisodeHeader(id="a", seed=3, instruction="pick", started="2030-01-01T00:00:00+00:00", versions={"rcs": "0"})
@@ -56,12 +56,34 @@ def test_a_stream_cut_at_any_byte_has_all_batches_before_the_cut(tmp_path: Path)
         assert reader.is_torn is (cut not in (0, *sizes))
 
 
+def test_a_stream_with_a_changed_bit_is_refused_wherever_that_is(tmp_path: Path) -> None:
+    write(tmp_path / "rows", 2)
+    data = (tmp_path / "rows").read_bytes()
+    for place in range(len(data)):
+        changed = bytearray(data)
+        changed[place] ^= 1 << place % 8
+        (tmp_path / "rows").write_bytes(changed)
+        with pytest.raises(CorruptEpisode, match="is not what was written"):
+            numbers(StreamReader(tmp_path / "rows"))
+
+
+def test_a_batch_that_a_kill_left_without_its_checksum_is_read(tmp_path: Path) -> None:
+    write(tmp_path / "rows", 3)
+    checksums = tmp_path / "rows.crc"
+    checksums.write_bytes(checksums.read_bytes()[:-3])
+    reader = StreamReader(tmp_path / "rows")
+    assert numbers(reader) == list(range(6))
+    assert not reader.is_torn
+
+
 @pytest.mark.parametrize("byte", [b"\x00", b"\xff"])
 def test_rubbish_after_the_last_batch_is_cut(tmp_path: Path, byte: bytes) -> None:
     write(tmp_path / "rows", 2)
     with (tmp_path / "rows").open("ab") as file:
         file.write(byte * 300)
-    assert numbers(StreamReader(tmp_path / "rows")) == [0, 1, 2, 3]
+    reader = StreamReader(tmp_path / "rows")
+    assert numbers(reader) == [0, 1, 2, 3]
+    assert reader.is_torn
 
 
 def test_a_full_disk_leaves_whole_batches_and_says_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -107,6 +107,24 @@ def test_an_outcome_holds_numpy_values_but_no_nan(tmp_path: Path, make_info: Mak
     assert (found.success, found.seed, found.outcome) == (True, 7, {"lift": 0.5, "pose": [0.0, 0.0]})
 
 
+@pytest.mark.parametrize("left", [-9, 0])
+def test_an_episode_that_does_not_read_back_whole_gets_no_verdict(
+    tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows, left: int
+) -> None:
+    with DatasetWriter.open(tmp_path, make_info()) as writer:
+        episode = writer.episode("a", seed=0)
+        for row in make_rows(31):  # after which nothing waits to be written
+            episode.add(row, np.zeros(STATE))
+        stream = tmp_path / "open/a/rows.arrows"
+        data = stream.read_bytes()[:left]
+        stream.write_bytes(data)
+        with pytest.raises(DatasetError, match=r"Only \d+ of 31 rows of episode 'a' can be read again"):
+            episode.finish(True)
+        assert episode.state == "aborted"
+        assert stream.read_bytes() == data
+    assert len(Dataset.open(tmp_path)) == 0
+
+
 @pytest.mark.parametrize("name", ["", ".hidden", "a/b", "a\0b", "a\n", "ä" * 101])
 def test_an_id_that_is_no_name_is_refused(tmp_path: Path, make_info: MakeInfo, name: str) -> None:
     with DatasetWriter.open(tmp_path, make_info()) as writer, pytest.raises(InvalidSetup, match="cannot name"):

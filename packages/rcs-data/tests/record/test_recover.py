@@ -6,6 +6,7 @@ import itertools
 import random
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from rcs_data import Dataset, DatasetWriter, EpisodeRecord, check, recover
 from rcs_data.errors import DatasetError
@@ -166,11 +168,65 @@ def test_a_torn_tail_is_cut_and_an_empty_episode_removed(
         stream = open_folder(tmp_path, name) / "rows.arrows"
         stream.write_bytes(stream.read_bytes()[:size])
     (open_folder(tmp_path, "bare")).mkdir()
+    left = (open_folder(tmp_path, "torn") / "rows.arrows").read_bytes()
     report = recover(tmp_path)
     assert (report.recovered, report.removed) == (("torn",), ("bare", "headless"))
+    assert "recovered torn, up to the last row that can be read" in str(report)
+    assert (tmp_path / "quarantine/open-torn.arrows").read_bytes() == left
     (found,) = Dataset.open(tmp_path).episodes
     assert found.length == 1, "the reset is a batch of its own, and the other rows were one"
     assert found.timing["is_torn"]
+
+
+@pytest.fixture
+def stream(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> Path:
+    """The stream of an episode that was left open with five rows, all joints of which are at 1234.5."""
+    with DatasetWriter.open(tmp_path, make_info()) as writer:
+        episode = writer.episode("a", seed=0)
+        for row in make_rows(5):
+            episode.add({**row, "observation/joints": np.full(3, 1234.5)}, np.zeros(STATE))
+        episode.abort("for the test")
+    return open_folder(tmp_path, "a") / "rows.arrows"
+
+
+def header_size(stream: Path) -> int:
+    with pa.OSFile(str(stream)) as source:
+        pa.ipc.open_stream(source)
+        return source.tell()
+
+
+@pytest.mark.parametrize("has_checksums", [True, False])
+@pytest.mark.parametrize("place", ["header", "first batch"])
+def test_rows_behind_a_damaged_start_are_left_alone(
+    tmp_path: Path, stream: Path, place: str, has_checksums: bool
+) -> None:
+    data = bytearray(stream.read_bytes())
+    start = 0 if place == "header" else header_size(stream)
+    data[start : start + 8] = bytes(8)
+    stream.write_bytes(data)
+    if not has_checksums:
+        stream.with_name("rows.crc").unlink(missing_ok=True)
+    report = recover(tmp_path)
+    assert [name for name, _ in report.failed] == ["a"]
+    assert stream.read_bytes() == data
+    assert len(Dataset.open(tmp_path)) == 0
+
+
+def test_a_number_that_changed_on_the_disk_is_not_taken_for_data(tmp_path: Path, stream: Path) -> None:
+    data = bytearray(stream.read_bytes())
+    data[data.rindex(struct.pack("<d", 1234.5)) + 5] ^= 1
+    stream.write_bytes(data)
+    report = recover(tmp_path)
+    assert [name for name, _ in report.failed] == ["a"]
+    assert "is not what was written" in str(report)
+    assert stream.read_bytes() == data
+
+
+def test_half_of_the_first_row_is_no_row(tmp_path: Path, stream: Path) -> None:
+    stream.write_bytes(stream.read_bytes()[: header_size(stream) + 100])
+    checksums = stream.with_name("rows.crc")
+    checksums.write_bytes(checksums.read_bytes()[:8])  # that of the header
+    assert recover(tmp_path).removed == ("a",)
 
 
 def test_a_stream_of_another_dataset_is_left_alone(

@@ -172,6 +172,21 @@ def test_an_open_episode_that_cannot_be_ended_keeps_no_other_from_its_end(
     assert len(DatasetWriter.open(tmp_path, make_info(), resume=True).recovered.recovered) == 5, "the lock is free"
 
 
+def test_a_removal_that_was_killed_is_finished_and_brings_nothing_back(dataset: Path, tmp_path: Path) -> None:
+    program = Path(__file__).parents[1] / "edit/kill_every_edit.py"
+    subprocess.run([sys.executable, program, dataset, tmp_path, "remove"], check=True, timeout=300)
+    killed = sorted((path for path in tmp_path.iterdir() if path.name.isdigit()), key=lambda path: int(path.name))
+    seen: list[list[str]] = []
+    for path in killed:
+        seen.append([episode.id for episode in Dataset.open(path)])
+        recover(path)
+        assert [episode.id for episode in Dataset.open(path)] == seen[-1], path.name
+        assert not check(path).findings, path.name
+        assert not list(path.glob(".trash/*"))
+    assert seen == sorted(seen, key=len, reverse=True), "once it is removed, it stays removed"
+    assert {len(ids) for ids in seen} == {2, 3}
+
+
 def test_one_id_is_recorded_once(tmp_path: Path, make_info: MakeInfo, record: Record) -> None:
     with DatasetWriter.open(tmp_path, make_info()) as writer, DatasetWriter.join(tmp_path) as worker:
         episode = writer.episode("a", seed=0)

@@ -102,10 +102,8 @@ class RemotePolicy(Policy):
         self._lock = threading.RLock()
         self._channel: Any = None
         self._period = None if period is None else positive("period", period)
-        self._connect()
-        if offer is not None and self._metadata.action and (found := differences(self._metadata, offer)):
-            self.close()
-            raise Mismatch(found)
+        self._offer = offer
+        self._connect_to_fitting()
 
     def metadata(self) -> Metadata:
         """Return the server's metadata as of the connection, or those that stand in for them."""
@@ -125,11 +123,15 @@ class RemotePolicy(Policy):
             return self._infer(observation)
 
     def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Begin an episode; connect again if the server was gone."""
+        """Begin an episode; connect again if the server was gone.
+
+        Raises:
+            Mismatch: The policy that is there now does not fit the robot.
+        """
         with self._lock:
             self._instructions[session] = instruction
             if self._channel is None:
-                self._connect()
+                self._connect_to_fitting()
 
     def forget(self, session: str) -> None:
         """Forget a session, here and on a server that remembers it."""
@@ -140,6 +142,13 @@ class RemotePolicy(Policy):
         channel, self._channel = self._channel, None
         if channel is not None:
             channel.close()
+
+    def _connect_to_fitting(self) -> None:
+        """Connect, and end the connection if the policy does not fit what the robot offers."""
+        self._connect()
+        if self._offer is not None and self._metadata.action and (found := differences(self._metadata, self._offer)):
+            RemotePolicy.close(self)  # a subclass's ends its threads, too; `reset` may find another server
+            raise Mismatch(found)
 
     @abstractmethod
     def _connect(self) -> None:

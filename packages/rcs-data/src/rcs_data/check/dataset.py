@@ -54,10 +54,11 @@ def check(
     root = Path(path)
     if not has_dataset(root) and (left := check_beside(root)):
         return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=tuple(left))
+    before = stamps(root)
     contents, findings = check_folder(root)
     if contents is None:
         return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=tuple(findings))
-    info, before = contents.info, stamps(root)
+    info = contents.info
     entries = [entry for _, entry in sorted(contents.entries.items())]
     one = partial(_check_episode, root, info, _is_resampled(root, info), depth)
     rows = frames = 0

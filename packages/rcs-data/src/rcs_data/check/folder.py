@@ -27,6 +27,7 @@ from rcs_data.files.layout import (
     has_dataset,
     open_folder,
     present_folder,
+    removals,
     strange_names,
     trash,
     unwritable_links,
@@ -176,7 +177,7 @@ def check_leftovers(root: Path, contents: Contents) -> Iterator[Finding]:
     for name in strange_names(root):
         place = _in(root, episodes_folder(root) / mended_text(name).translate(_UNPRINTABLE))
         yield Finding("warning", "stranger", None, place, "its name cannot be an episode's; nothing reads it")
-    for path in (*trash(root), *([root / EDIT_FOLDER] if (root / EDIT_FOLDER).exists() else [])):
+    for path in (*trash(root), *removals(root), *([root / EDIT_FOLDER] if (root / EDIT_FOLDER).exists() else [])):
         yield Finding("warning", "left_over", None, _in(root, path), "left by a killed program; run recover")
     for name in names - {entry.folder for entry in contents.entries.values()}:
         message = "complete, and not in the index; run recover"

@@ -14,23 +14,23 @@ from typing import Any, Literal
 from rcs_data.check.dataset import Depth, check
 from rcs_data.check.folder import check_index, whole_entries
 from rcs_data.check.report import counted
-from rcs_data.errors import CorruptEpisode, DatasetError
-from rcs_data.files.durable import disk_errors, sync_folder
+from rcs_data.errors import CorruptEpisode
+from rcs_data.files.durable import disk_errors
 from rcs_data.files.layout import (
     DATASET_FILE,
     FORMER_FOLDER,
     HISTORY_FOLDER,
     INDEX_FILE,
-    QUARANTINE_FOLDER,
     episode_folder,
     has_dataset,
     open_folder,
 )
 from rcs_data.files.lock import DatasetLock
 from rcs_data.files.output import OnProgress, remove_leftovers
+from rcs_data.files.quarantine import quarantine
 from rcs_data.index.history import Draft, damaged_history, finish_edit
 from rcs_data.index.index import Index, write_info
-from rcs_data.record.recover import settle_leftovers
+from rcs_data.record.recover import CUT, settle_leftovers
 
 What = Literal["restored", "recovered", "removed", "quarantined", "failed"]
 
@@ -99,7 +99,7 @@ def repair(
         damaged = {f.episode for f in findings if f.severity == "damage" and f.kind not in ("former", "other_layout")}
         mendings += _put_aside(index, sorted(name for name in damaged if name is not None and name in index.entries))
         for folder in sorted({root / Path(f.file).parent for f in findings if f.kind == "former"}):
-            _move(root, folder)
+            quarantine(root, folder)
             mendings.append(_done("quarantined", f"{folder.name}, a damaged former episode; undo cannot bring it back"))
     return RepairReport(mendings=tuple(mendings))
 
@@ -120,7 +120,7 @@ def _mend_index(root: Path) -> list[Mending]:
         message = f"the index, with {counted(count, 'whole line')}; other episodes are taken from their folders"
         mendings.append(_done("restored", message))
     for path, _ in list(damaged_history(root)):
-        _move(root, path)
+        quarantine(root, path)
         mendings.append(_done("quarantined", f"{HISTORY_FOLDER}/{path.name}; undo cannot go back to it"))
     return mendings
 
@@ -129,14 +129,17 @@ def _settle(index: Index) -> list[Mending]:
     """Complete and remove what killed programs left."""
     report = settle_leftovers(index, "recover")
     completed = (*report.recovered, *report.published)
-    mendings = [Mending(what="recovered", episode=name, message="completed, and in the index") for name in completed]
+    mendings = [
+        Mending(what="recovered", episode=name, message=f"completed, and in the index{CUT * (name in report.cut)}")
+        for name in completed
+    ]
     mendings += [Mending(what="removed", episode=name, message="had no rows") for name in report.removed]
     for name, why in report.failed:
         folder = open_folder(index.root, name)
         if folder.exists():  # it would be in the way of every edit
-            _move(index.root, folder, f"open-{name}")
+            quarantine(index.root, folder, f"open-{name}")
         else:
-            _move(index.root, episode_folder(index.root, name))
+            quarantine(index.root, episode_folder(index.root, name))
         mendings.append(Mending(what="quarantined", episode=name, message=why))
     return mendings
 
@@ -153,27 +156,9 @@ def _put_aside(index: Index, damaged: list[str]) -> list[Mending]:
     for name, folder in folders.items():
         where = "its folder is gone"
         if (root / FORMER_FOLDER / folder).exists():
-            where = f"damaged; its files are in {_move(root, root / FORMER_FOLDER / folder).relative_to(root)}"
+            where = f"damaged; its files are in {quarantine(root, root / FORMER_FOLDER / folder).relative_to(root)}"
         mendings.append(Mending(what="quarantined", episode=name, message=where))
     return mendings
-
-
-def _move(root: Path, folder: Path, name: str = "") -> Path:
-    """Move a folder to a free name in the quarantine, like its own or another one, and return that."""
-    quarantine = root / QUARANTINE_FOLDER
-    quarantine.mkdir(exist_ok=True)
-    target = quarantine / (name or folder.name)
-    number = 1
-    while target.exists():
-        number += 1
-        target = quarantine / f"{name or folder.name}-{number}"
-    try:
-        folder.rename(target)
-    except OSError as err:
-        raise DatasetError(f"Cannot move {folder} to {target}: {err.strerror or err}.") from err
-    sync_folder(quarantine)
-    sync_folder(folder.parent)
-    return target
 
 
 def _done(what: What, message: str) -> Mending:

@@ -11,6 +11,7 @@ from rcs_data.edit.rows import take_rows
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
 from rcs_data.files.text import check_text
+from rcs_data.index.history import RELABEL
 
 
 def delete(path: str | Path, episodes: Iterable[str]) -> None:
@@ -78,7 +79,7 @@ def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | Non
     arguments = {"instruction": instruction, "episodes": ids}
     is_all = ids is None
     new_info = (lambda info: replace(info, instruction=instruction)) if is_all else (lambda info: info)
-    with editing(path, "relabel", arguments, new_info=new_info) as edit:
+    with editing(path, RELABEL, arguments, new_info=new_info) as edit:
         require_ids(path, edit.entries, ids or [])
         edit.relabel(ids, instruction)
 

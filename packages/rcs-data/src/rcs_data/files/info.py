@@ -29,7 +29,8 @@ MERGED = "merged"
 
 # Numbers in a simulation state; hundreds of robots have some ten thousand.
 _LARGEST_STATE = 1 << 20
-_MEANING_OF_ACTIONS = ("control", "relative")
+MEANING_OF_ACTIONS = ("control", "relative")
+"""Keys of a setup, without which nobody knows what the numbers of an action are."""
 
 Subsampling = Literal["444", "422", "420"]
 Quality = Annotated[int, Meta(ge=1, le=100)]
@@ -215,7 +216,7 @@ def feature_differences(
         jpeg_subsampling=stored.jpeg_subsampling,
     )
     lines = differences(stored, alike, names=names)
-    for key in _MEANING_OF_ACTIONS:
+    for key in MEANING_OF_ACTIONS:
         one, other = stored.setup.get(key), given.setup.get(key)
         if one is not None and other is not None and one != other:
             lines.append(f"setup.{key}: actions are {one!r} in {names[0]} and {other!r} in {names[1]}")

@@ -18,6 +18,8 @@ STEPS_FILE = "steps.parquet"
 FRAMES_FILE = "frames.zip"
 ROWS_FILE = "rows.arrows"
 """The append-only stream of an episode that is still open."""
+CHECKSUMS_FILE = "rows.crc"
+"""The sizes and checksums of what was written to the stream."""
 ABORTED_FILE = "aborted.json"
 """Why an open episode was aborted."""
 
@@ -40,6 +42,7 @@ FOLDERS = (EPISODES_FOLDER, OPEN_FOLDER, FORMER_FOLDER, HISTORY_FOLDER, QUARANTI
 
 _LONGEST_NAME = 200
 _WRITTEN, _AGAIN = "@", "+"
+_REMOVED = ".removed"
 _OF_ANOTHER = re.compile(r".*[@+][0-9]+")
 
 
@@ -172,6 +175,12 @@ def written_folder(episode_id: str, number: int) -> str:
     return f"{episode_id}{_WRITTEN}{number}"
 
 
+def edit_number(folder: str) -> int:
+    """Return the number of the edit that wrote a folder, given its name; 0 if no edit did."""
+    _, mark, number = folder.rpartition(_WRITTEN)
+    return int(number) if mark and number.isdecimal() else 0
+
+
 def folder_names(root: Path, folder: str = EPISODES_FOLDER) -> list[str]:
     """Return the sorted names of the folders of episodes, complete, open or former ones, whether listed or not."""
     return sorted(name for name in _names(root / folder) if is_name(name))
@@ -186,7 +195,19 @@ def trash(root: Path) -> list[Path]:
     """Return the remains of what was removed or was not completed; nothing reads them."""
     drafts = [root / DRAFT_FOLDER] if (root / DRAFT_FOLDER).exists() else []
     pruned = [root / FORMER_FOLDER / name for name in _names(root / FORMER_FOLDER) if not is_name(name)]
-    return [*drafts, *pruned, *(root / TRASH_FOLDER / name for name in _names(root / TRASH_FOLDER))]
+    thrown = [root / TRASH_FOLDER / name for name in _names(root / TRASH_FOLDER) if not name.endswith(_REMOVED)]
+    return [*drafts, *pruned, *thrown]
+
+
+def removal_mark(root: Path, name: str) -> Path:
+    """Return the mark that an episode is being removed, given its folder's name; it goes when the folder is gone."""
+    return root / TRASH_FOLDER / f"{name}{_REMOVED}"
+
+
+def removals(root: Path) -> dict[Path, Path]:
+    """Return the marks of removals that a kill cut short, each with the folder that is to go unless it is listed."""
+    names = [name.removesuffix(_REMOVED) for name in _names(root / TRASH_FOLDER) if name.endswith(_REMOVED)]
+    return {removal_mark(root, name): episode_folder(root, name) for name in names if is_name(name)}
 
 
 def _names(folder: Path) -> list[str]:

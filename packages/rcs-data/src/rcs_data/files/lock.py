@@ -2,12 +2,13 @@
 
 The operating system's `flock` is free as soon as its process is gone, for whatever reason; the process id in the file
 only serves messages. The file is larger than that: its space is a reserve, with which episodes of a full disk can be
-deleted. Worker processes of one collection share a second lock, so that a new writer does not mistake the
-episodes of workers that outlive their parent for leftovers.
+deleted; it grows with the index, which an edit writes twice. Worker processes of one collection share a second lock, so
+that a new writer does not mistake the episodes of workers that outlive their parent for leftovers.
 """
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import time
@@ -19,13 +20,15 @@ from typing_extensions import Self
 
 from rcs_data.errors import DatasetError
 from rcs_data.files.durable import disk_errors, is_full, write_all
-from rcs_data.files.layout import unwritable_links
+from rcs_data.files.layout import INDEX_FILE, unwritable_links
 
 _WRITER_FILE = ".writer.lock"
 _WORKERS_FILE = ".workers.lock"
 LOCK_FILES = (_WRITER_FILE, _WORKERS_FILE)
-# Room for the line of an edit [B], such as the deletion of 3000 episodes.
-_RESERVE = 1 << 16
+# Room for the line of an edit [B], such as the deletion of 3000 episodes, and as often for the index as an edit may
+# write it, with some more. It grows by steps [B], of some 25 episodes.
+_RESERVE, _INDEXES, _STEP = 1 << 16, 3, 1 << 14
+_ID_SIZE = 32
 _ATTEMPTS = 5
 # Not through a link, since the process id is written into the file.
 _LOCK_FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
@@ -66,7 +69,8 @@ class DatasetLock:
                 finally:
                     os.close(workers)
                 try:
-                    write_all(fd, f"{os.getpid()}\n".encode().ljust(_RESERVE))
+                    write_all(fd, f"{os.getpid()}\n".encode().ljust(_ID_SIZE))
+                    _grow(fd, root)
                 except OSError as err:
                     if not is_full(err):
                         raise
@@ -114,6 +118,24 @@ def is_locked(root: Path) -> bool:
         return not try_lock(fd, fcntl.LOCK_SH)
     finally:
         os.close(fd)
+
+
+def grow_reserve(root: Path) -> None:
+    """Let a dataset's reserve grow with its index, if the disk lets it: an episode is never refused for its sake."""
+    with contextlib.suppress(OSError):
+        fd = os.open(root / _WRITER_FILE, os.O_WRONLY | os.O_NOFOLLOW)
+        try:
+            _grow(fd, root)
+        finally:
+            os.close(fd)
+
+
+def _grow(fd: int, root: Path) -> None:
+    index = root / INDEX_FILE
+    missing = _RESERVE + _INDEXES * (index.stat().st_size if index.exists() else 0) - os.fstat(fd).st_size
+    if missing > 0:
+        os.lseek(fd, 0, os.SEEK_END)
+        write_all(fd, b" " * max(missing, _STEP))
 
 
 def with_reserve(root: Path, write: Callable[[], object]) -> None:
@@ -165,5 +187,5 @@ def _refuse_links(root: Path) -> None:
 
 def _holder(root: Path) -> str:
     with (root / _WRITER_FILE).open("rb") as file:
-        text = file.read(32).decode(errors="replace").strip()
+        text = file.read(_ID_SIZE).decode(errors="replace").strip()
     return text if text.isdecimal() else "with an unknown id"

@@ -32,13 +32,15 @@ from rcs_data.files.layout import (
     FORMER_FOLDER,
     HISTORY_FOLDER,
     INDEX_FILE,
+    edit_number,
+    folder_names,
     has_dataset,
 )
 from rcs_data.files.lock import DatasetLock, with_reserve
 from rcs_data.index.entry import Entry, entry_of, sealed_line, unsealed
 from rcs_data.index.index import Index
 
-UNDO = "undo"
+UNDO, RELABEL = "undo", "relabel"
 _FOLDERS = (EPISODES_FOLDER, FORMER_FOLDER, HISTORY_FOLDER)
 
 
@@ -75,15 +77,41 @@ def history(root: Path) -> list[Edit]:
     return [_edit_in(path) for path in _files(root)]
 
 
-def undoable(root: Path) -> Edit | None:
-    """Return the edit that undo would undo, if there is one."""
+def edits_in_force(root: Path) -> list[Edit]:
+    """Return the edits that are not undone, oldest first.
+
+    Raises:
+        CorruptEpisode: The first line of a file is damaged.
+    """
     left: list[Edit] = []
     for edit in history(root):
         if edit.command == UNDO:
             del left[-1:]
         else:
             left.append(edit)
-    return left[-1] if left else None
+    return left
+
+
+def undoable(root: Path) -> Edit | None:
+    """Return the edit that undo would undo, if there is one."""
+    return next(reversed(edits_in_force(root)), None)
+
+
+def relabelled(about: Mapping[str, Any], folder: str, edits: Iterable[Edit]) -> dict[str, Any]:
+    """Return the contents of an `episode.json` with the instruction that edits gave the episode later.
+
+    Args:
+        about: The contents; the folder of an episode never changes.
+        folder: The folder's name.
+        edits: Those in force, oldest first.
+    """
+    found, written, recorded = dict(about), edit_number(folder), about["ended"] or about["started"] or ""
+    for edit in edits:
+        ids = edit.arguments.get("episodes")
+        is_later = edit.number > written if written else edit.at > recorded
+        if edit.command == RELABEL and is_later and (ids is None or about["id"] in ids):
+            found["instruction"] = edit.arguments["instruction"]
+    return found
 
 
 @contextlib.contextmanager
@@ -107,11 +135,18 @@ class Draft:
     def __init__(self, index: Index) -> None:
         """Start with nothing changed; what a killed edit has left is removed."""
         self.index = index
-        self.number = max((int(path.stem) for path in _files(index.root)), default=0) + 1
-        self.folder = index.root / DRAFT_FOLDER
-        remove_tree(self.folder)
-        for name in (EPISODES_FOLDER, HISTORY_FOLDER):
-            (self.folder / name).mkdir(parents=True)
+        root = index.root
+        # Of an edit whose file is in quarantine, the folders still have the number.
+        names = (*folder_names(root), *folder_names(root, FORMER_FOLDER))
+        self.number = max((*(int(path.stem) for path in _files(root)), *map(edit_number, names)), default=0) + 1
+        self.folder = root / DRAFT_FOLDER
+
+        def make() -> None:
+            remove_tree(self.folder)
+            for name in (EPISODES_FOLDER, HISTORY_FOLDER):
+                (self.folder / name).mkdir(parents=True)
+
+        with_reserve(root, make)
 
     def decide(
         self, command: str, arguments: Mapping[str, Any], entries: Mapping[str, Entry], info: DatasetInfo
@@ -142,6 +177,8 @@ class Draft:
         )
 
         def write() -> None:
+            for name in _FOLDERS:  # before the disk is too full for them
+                (root / name).mkdir(exist_ok=True)
             before = read_bytes(root / INDEX_FILE)
             whole = memoryview(before)[: before.rfind(b"\n") + 1]
             write_file(self.folder / HISTORY_FOLDER / f"{edit.number}.jsonl", sealed_line(edit), whole)
@@ -153,8 +190,6 @@ class Draft:
         with_reserve(root, write)
         for folder in (*(self.folder / name for name in (EPISODES_FOLDER, HISTORY_FOLDER)), self.folder):
             sync_folder(folder)
-        for name in _FOLDERS:  # before the disk is too full for them
-            (root / name).mkdir(exist_ok=True)
         self.folder.rename(root / EDIT_FOLDER)
         sync_folder(root)
         gone = {entry.folder for entry in index.entries.values()} - {entry.folder for entry in entries.values()}

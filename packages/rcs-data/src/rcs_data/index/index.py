@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from rcs_data.files.layout import (
     check_path,
     episodes_folder,
 )
+from rcs_data.files.lock import grow_reserve
 from rcs_data.index.entry import Entry, entry_of
 
 _MOST_LOOKS = 10
@@ -99,9 +100,14 @@ class Index:
                 os.ftruncate(fd, self._end)
                 raise
             self.refresh()
+        grow_reserve(self.root)
 
-    def remove(self, episode_id: str) -> Entry:
+    def remove(self, episode_id: str, before: Callable[[Entry], object] = lambda _: None) -> Entry:
         """Take an episode out for good, and return what it was.
+
+        Args:
+            episode_id: The episode.
+            before: Called with what it is, just before.
 
         Raises:
             DatasetError: There is no such episode.
@@ -111,6 +117,7 @@ class Index:
             entry = self.refresh().get(episode_id)
             if entry is None:
                 raise DatasetError(f"There is no episode {episode_id!r} in {self.root} to remove.")
+            before(entry)
             kept = (one.line for one in self.entries.values() if one is not entry)
             write_file(self.root / INDEX_FILE, b"".join(kept))
             sync_folder(self.root)

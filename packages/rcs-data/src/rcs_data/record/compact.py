@@ -16,7 +16,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from rcs_data.files.frames_file import FramesWriter
 from rcs_data.files.info import SCHEMA_VERSION, DatasetInfo
 from rcs_data.files.layout import (
     ABORTED_FILE,
+    CHECKSUMS_FILE,
     EPISODE_FILE,
     FRAMES_FILE,
     ROWS_FILE,
@@ -37,6 +38,7 @@ from rcs_data.files.layout import (
     free_folder,
     open_folder,
 )
+from rcs_data.files.quarantine import quarantine
 from rcs_data.files.steps_file import StepsWriter
 from rcs_data.files.stream import StreamReader
 from rcs_data.index.index import Index
@@ -54,6 +56,7 @@ def compact(
     ended: str | None,
     instruction: str | None = None,
     timing: Mapping[str, Any] | None = None,
+    rows: int | None = None,
 ) -> Path | None:
     """Turn the open episode's stream into a complete episode and return its folder; None if there are no rows.
 
@@ -66,22 +69,24 @@ def compact(
         ended: Wall clock at the end, ISO 8601 in UTC; None if it was not measured.
         instruction: What the robot was asked to do; None for the instruction given at the start.
         timing: Additions to the timing report that the rows do not show.
+        rows: How many rows were recorded; None if that is not known.
 
     Raises:
-        DatasetError: The disk is full or fails, or a complete episode has this name; the stream stays.
-        CorruptEpisode: The stream's columns differ from the dataset's.
+        DatasetError: The disk is full or fails, a complete episode has this name, or fewer rows can be read than were
+            recorded; the stream stays.
+        CorruptEpisode: The stream's columns differ from the dataset's, or it is damaged; it stays.
     """
     folder = open_folder(index.root, episode_id)
     with disk_errors(f"finish episode {episode_id!r}", folder, keeps_rows=True):
         stream = StreamReader(folder / ROWS_FILE)
         header = stream.header
-        if header is None or stream.schema is None:
-            return None
-        if not stream.schema.equals(info.stream_schema):
+        if stream.schema is not None and not stream.schema.equals(info.stream_schema):
             raise CorruptEpisode(f"The open episode in {folder} has other columns than the dataset; it is left alone.")
-        batches = stream.batches()
-        first = next(batches, None)
-        if first is None:
+        tables = _counted(stream, rows, episode_id)
+        first = next(tables, None)
+        if header is None or first is None:
+            if stream.may_hide_rows:
+                raise CorruptEpisode(f"The rows in {folder} cannot be read; they are left alone.")
             return None
         about = {
             "id": header.id,
@@ -93,9 +98,19 @@ def compact(
             "ended": ended,
             "versions": header.versions,
         }
-        rows = (pa.Table.from_batches([batch]) for batch in itertools.chain([first], batches))
-        seal(folder, info, rows, about, timing=lambda: {**(timing or {}), "is_torn": stream.is_torn})
+        pieces = itertools.chain([first], tables)
+        seal(folder, info, pieces, about, timing=lambda: {**(timing or {}), "is_torn": stream.is_torn})
     return publish(index, episode_id)
+
+
+def _counted(stream: StreamReader, rows: int | None, episode_id: str) -> Iterator[pa.Table]:
+    """Yield the rows of a stream, and raise at its end if there are fewer than were recorded, unless that is None."""
+    count = 0
+    for batch in stream.batches():
+        count += batch.num_rows
+        yield pa.Table.from_batches([batch])
+    if rows not in (None, count):
+        raise DatasetError(f"Only {count} of {rows} rows of episode {episode_id!r} can be read again.")
 
 
 def seal(
@@ -151,6 +166,8 @@ def _remove_half(folder: Path, kind: type[BaseException] | None, *_: object) -> 
 def publish(index: Index, episode_id: str) -> Path:
     """Make an open episode that has its `episode.json` one of the dataset, and return its folder.
 
+    Its stream is removed, or put into quarantine if it could not be read to its end.
+
     Raises:
         DatasetError: The disk fails, or an episode has this name.
         CorruptEpisode: Its `episode.json` is damaged.
@@ -161,7 +178,9 @@ def publish(index: Index, episode_id: str) -> Path:
     if episode_id in index.refresh():
         raise DatasetError(f"There already is an episode {episode_id!r} in {root}; the other one is in {opened}.")
     with disk_errors(f"publish episode {episode_id!r}", opened, keeps_rows=True):
-        for name in (ROWS_FILE, ABORTED_FILE):
+        if about["timing"].get("is_torn") and (opened / ROWS_FILE).exists():
+            quarantine(root, opened / ROWS_FILE, f"open-{episode_id}.arrows")
+        for name in (ROWS_FILE, CHECKSUMS_FILE, ABORTED_FILE):
             (opened / name).unlink(missing_ok=True)
         final = free_folder(root, episode_id)
         opened.rename(final)

@@ -150,7 +150,9 @@ class EpisodeWriter:
         Raises:
             InvalidSetup: There are no rows, the outcome is not JSON, or a text cannot be stored; the episode stays
                 open.
-            DatasetError: The disk is full or fails; the episode is aborted, and `recover` can complete it later.
+            DatasetError: The disk is full or fails, or has fewer rows than were added; the episode is aborted, and
+                `recover` can complete it later.
+            CorruptEpisode: The rows on the disk are not those that were added; the episode is aborted.
         """
         self._check_open("finish")
         if self._rows == 0:
@@ -173,6 +175,7 @@ class EpisodeWriter:
                 ended=_now(),
                 instruction=instruction,
                 timing=measured,
+                rows=self._rows,
             )
         except BaseException as err:  # a failing disk, or Ctrl-C
             if self._folder.exists():

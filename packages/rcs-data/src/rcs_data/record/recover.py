@@ -22,14 +22,17 @@ from rcs_data.files.layout import (
     folder_names,
     new_trash,
     open_folder,
+    removals,
     trash,
 )
-from rcs_data.index.history import locked
+from rcs_data.index.history import edits_in_force, locked, relabelled
 from rcs_data.index.index import Index
 from rcs_data.record.compact import compact, publish
 
 Leftovers = Literal["recover", "discard"]
 """What to do with episodes that were open when their writer died."""
+CUT = ", up to the last row that can be read; its stream is in quarantine"
+"""What is said of an episode whose stream could not be read to its end."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +41,8 @@ class RecoverReport:
 
     recovered: tuple[str, ...] = ()
     """Open episodes that are now complete, with success None and `outcome["recovered"]` True."""
+    cut: tuple[str, ...] = ()
+    """Those of them whose rows could not be read to the end; the stream of all their rows is in `quarantine/`."""
     published: tuple[str, ...] = ()
     """Episodes that were finished and only lacked their final name."""
     removed: tuple[str, ...] = ()
@@ -47,7 +52,7 @@ class RecoverReport:
 
     def __str__(self) -> str:
         """Return one line per episode."""
-        lines = [f"recovered {name}" for name in self.recovered]
+        lines = [f"recovered {name}{CUT * (name in self.cut)}" for name in self.recovered]
         lines += [f"published {name}, which was already finished" for name in self.published]
         lines += [f"removed {name}" for name in self.removed]
         lines += [f"left {name} alone: {reason}" for name, reason in self.failed]
@@ -77,14 +82,18 @@ def settle_leftovers(index: Index, leftovers: Leftovers) -> RecoverReport:
 
     Raises:
         DatasetError: The disk fails.
+        CorruptEpisode: The history is damaged, and an episode that is not in the index may have got another label.
     """
     root = index.root
     done: dict[str, list[str]] = {"recovered": [], "published": [], "removed": []}
     failed: list[tuple[str, str]] = []
     with disk_errors("remove what discarded episodes left", root):
+        _finish_removals(index)
         for path in (*trash(root), *(root / f"{name}.tmp" for name in (DATASET_FILE, INDEX_FILE))):
             remove_tree(path)
-        for folder in unlisted(index):
+        folders = unlisted(index)
+        edits = edits_in_force(root) if folders else []
+        for folder in folders:
             try:
                 about = read_about(folder)
                 if about["id"] in index.entries:
@@ -92,14 +101,15 @@ def settle_leftovers(index: Index, leftovers: Leftovers) -> RecoverReport:
             except CorruptEpisode as err:
                 failed.append((folder.name, str(err)))
                 continue
-            index.add(about, folder.name)
+            index.add(relabelled(about, folder.name, edits), folder.name)
             done["published"].append(about["id"])
     for episode_id in folder_names(root, OPEN_FOLDER):
         try:
             done[_settle(index, index.info, episode_id, leftovers)].append(episode_id)
         except CorruptEpisode as err:
             failed.append((episode_id, str(err)))
-    return RecoverReport(**{name: tuple(ids) for name, ids in done.items()}, failed=tuple(failed))
+    cut = tuple(name for name in done["recovered"] if _is_torn(index, name))
+    return RecoverReport(**{name: tuple(ids) for name, ids in done.items()}, cut=cut, failed=tuple(failed))
 
 
 def unlisted(index: Index) -> list[Path]:
@@ -110,6 +120,20 @@ def unlisted(index: Index) -> list[Path]:
     """
     known = {entry.folder for entry in index.entries.values()}
     return [episode_folder(index.root, name) for name in folder_names(index.root) if name not in known]
+
+
+def _finish_removals(index: Index) -> None:
+    """Remove the folders of episodes that a killed program was removing, if they are out of the index."""
+    listed = {entry.folder for entry in index.entries.values()}
+    for mark, folder in removals(index.root).items():
+        if folder.name not in listed and folder.is_dir():
+            remove_folder(folder, new_trash(index.root, folder.name))
+        mark.unlink()
+
+
+def _is_torn(index: Index, episode_id: str) -> bool:
+    about = read_about(episode_folder(index.root, index.entries[episode_id].folder))
+    return bool(about["timing"].get("is_torn"))
 
 
 def _settle(index: Index, info: DatasetInfo, episode_id: str, leftovers: Leftovers) -> str:

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from rcs_data.errors import DatasetError
 from rcs_data.files.closing import Closing
-from rcs_data.files.durable import disk_errors, remove_folder
+from rcs_data.files.durable import disk_errors, remove_folder, sync_folder, write_file
 from rcs_data.files.info import DatasetInfo, differences
 from rcs_data.files.layout import (
     DATASET_FILE,
@@ -27,8 +27,10 @@ from rcs_data.files.layout import (
     has_dataset,
     new_trash,
     open_folder,
+    removal_mark,
 )
 from rcs_data.files.lock import LOCK_FILES, DatasetLock
+from rcs_data.index.entry import Entry
 from rcs_data.index.history import finish_edit
 from rcs_data.index.index import Index
 from rcs_data.read.episode_record import EpisodeRecord
@@ -191,7 +193,7 @@ class DatasetWriter(Closing):
             publish(self._index, name)
 
     def remove_episode(self, episode_id: str) -> None:
-        """Remove a finished episode for good.
+        """Remove a finished episode for good; what a kill leaves to do, the next writer or `recover` does.
 
         Args:
             episode_id: The episode.
@@ -201,10 +203,11 @@ class DatasetWriter(Closing):
         """
         check_episode_id(episode_id)
         with disk_errors(f"remove episode {episode_id!r}", self.path):
-            entry = self._index.remove(episode_id)
+            entry = self._index.remove(episode_id, self._mark_removal)
             folder = episode_folder(self.path, entry.folder)
             if folder.exists():
                 remove_folder(folder, new_trash(self.path, entry.folder))
+            removal_mark(self.path, entry.folder).unlink(missing_ok=True)
 
     def close(self) -> None:
         """Abort the open episodes and give the lock back, whatever fails; calling it twice is harmless.
@@ -221,6 +224,13 @@ class DatasetWriter(Closing):
             for episode in self._open:
                 if episode.state == "open":
                     last_to_first.callback(episode.end, "its dataset was closed")
+
+    def _mark_removal(self, entry: Entry) -> None:
+        """Tell a complete folder that is to go from one whose line a kill has kept from the index."""
+        mark = removal_mark(self.path, entry.folder)
+        mark.parent.mkdir(exist_ok=True)
+        write_file(mark)
+        sync_folder(mark.parent)
 
     def _require_open(self, doing: str) -> None:
         if self._is_closed:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, check
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, check, edit
 from rcs_data.convert.formats import IMPORTS, export_format, import_format
 from rcs_data.convert.lerobot import source as lerobot_source
 from rcs_data.convert.lerobot.export import export_lerobot
@@ -221,6 +221,19 @@ def test_a_pointer_of_git_lfs_is_named_with_the_remedy(source: Dataset, tmp_path
     )
     with pytest.raises(CorruptEpisode, match=r"Git LFS pointer.*`git lfs pull`"):
         import_lerobot(tmp_path / "lerobot", tmp_path / "back")
+
+
+def test_what_the_actions_of_our_exports_count_from_is_kept(make_dataset: Any, tmp_path: Path) -> None:
+    meaning = {"control": "joints", "relative": "last_step"}
+    export_lerobot(make_dataset(cameras=False, setup={"robot": "fr3", **meaning}), tmp_path / "lerobot")
+    back = import_lerobot(tmp_path / "lerobot", tmp_path / "back")
+    assert {key: back.info.setup[key] for key in back.info.setup if key != "imported"} == meaning
+    before = [episode.column("action/joints")[1:] for episode in back]
+    edit.resample(tmp_path / "back", 10)
+    for steps, episode in zip(before, Dataset.open(tmp_path / "back"), strict=True):
+        after = episode.column("action/joints")[1:]
+        np.testing.assert_allclose(after.sum(axis=0), steps.sum(axis=0))
+        np.testing.assert_allclose(after[0], steps[:3].sum(axis=0))
 
 
 def test_an_import_opens_each_file_a_fixed_number_of_times(

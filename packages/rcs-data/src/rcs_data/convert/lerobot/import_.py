@@ -24,7 +24,7 @@ from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.steps import EpisodeAbout, Record, StepColumn, import_episodes, leave_out, record_steps
 from rcs_data.errors import CorruptEpisode, InvalidSetup
-from rcs_data.files.info import DatasetInfo
+from rcs_data.files.info import MEANING_OF_ACTIONS, DatasetInfo
 from rcs_data.files.json_file import read_json, read_json_lines
 from rcs_data.read.reader import Dataset
 from rcs_data.record.writer import DatasetWriter
@@ -154,11 +154,13 @@ def _info(
         "left_out": mapping.left_out,
         **({"dataset": own.get("dataset"), "setup": own.get("setup")} if own else {}),
     }
+    setup = own.get("setup")
+    meaning = {key: setup[key] for key in MEANING_OF_ACTIONS if key in setup} if isinstance(setup, dict) else {}
     words = [own.get("instruction"), options.instruction, *source.tasks.values()]
     return DatasetInfo(
         frequency=own.get("frequency", source.fps),
         features=tuple(stored_as(feature, options) for feature in mapping.features),
-        setup={"imported": imported},
+        setup={**meaning, "imported": imported},
         instruction=next((text for text in words if isinstance(text, str) and text), ""),
         jpeg_quality=options.jpeg_quality,
     )
