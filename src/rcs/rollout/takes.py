@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rcs.envs.observers.recorder import Recorder
-from rcs.errors import DatasetError, WrongOrder
+from rcs.errors import CorruptEpisode, DatasetError, WrongOrder
 from rcs.rollout.latency import Latency
 
 WORDS: Mapping[bool | None, str] = {True: "success", False: "failure", None: "no verdict"}
@@ -150,7 +150,8 @@ class Takes:
 
         Raises:
             WrongOrder: No take is under way, or it has no row yet.
-            DatasetError: The disk is full or fails; the take's rows stay there for `recover`.
+            DatasetError, CorruptEpisode: The disk is full or fails, or has changed what was written; the rows that it
+                has stay there for `recover`.
         """
         outcome: dict[str, Any] = {"loop": self._statistics.to_json()}
         if self._latency is not None:
@@ -158,7 +159,7 @@ class Takes:
         rows = self._recorder.rows
         try:
             record = self._recorder.finish(success, outcome)
-        except DatasetError:
+        except (DatasetError, CorruptEpisode):
             self._is_aborted = True
             raise
         self.ended.append(Take(id=record.id, success=success, rows=rows, is_kept=True))

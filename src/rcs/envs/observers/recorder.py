@@ -186,7 +186,8 @@ class Recorder(Observer):
 
         Raises:
             InvalidSetup: A value is not what the dataset has; the row is not recorded, and the episode stays open.
-            DatasetError: The disk is full or fails; the episode is aborted.
+            DatasetError, CorruptEpisode: The disk is full or fails, or has changed what was written; the episode is
+                aborted.
         """
         if self._broken_off and self._episode is not None:
             return  # a state was set; what follows is not what came of the rows so far
