@@ -54,7 +54,7 @@ def measure(reads: int) -> dict[str, Any]:
         servos.bus.close()
         one.virtual.close()
         ticks = one.ticks()
-    times, places = ticks["time"], ticks["joints"]
+    times, places = np.ascontiguousarray(ticks["time"]), ticks["joints"]  # a view would be copied at each search
     wrong, worst = 0, 0.0
     for asked, answered, joints in found:
         # What a servo tells was measured at the end of the tick before.
