@@ -86,6 +86,7 @@ void HostDesk::answer(const HostRequest& request, HostOutcome outcome, const std
   HostAnswer answer{request.number, outcome, flag ? 1 : 0, {}};
   answer.text.set(text);
   memory_->answer.write(answer);
+  if (outcome != HostOutcome::done) memory_->refusal.write(answer);
   memory_->done = request.number;
   wake_all(memory_->done);
 }

@@ -107,7 +107,7 @@ struct HostMemory {
   // What the host writes.
   std::atomic<std::int64_t> next_sign;  // ns, until when it shows again that it runs
   std::atomic<std::uint32_t> done, held, changes_of_fault;
-  Guarded<HostAnswer> answer;
+  Guarded<HostAnswer> answer, refusal;  // the last one, and the last that was not done
   Guarded<HostMeasured> measured;
   Guarded<HostText<64>> under_way;
   Guarded<HostText<512>> fault, hold_failure;

@@ -96,10 +96,8 @@ class HostLink {
   HostAnswer ask(HostCall call, std::span<const double> values = {}, double valid_for = kForever, double force = kNaN,
                  double period = 0.0) {
     const bool is_command = call <= HostCall::opening;
-    if (!is_command) {
-      await_end(asked_, kForever);
-      tell_of_late_answer();  // before the answer to this one takes its place
-    }
+    if (!is_command) await_end(asked_, kForever);
+    tell_of_late_refusal();
     HostAsked asked{};
     asked.number = ++asked_;
     asked.stops = memory_->stops;
@@ -181,6 +179,7 @@ class HostLink {
   }
 
   void require_done(const HostAnswer& answer) {
+    if (answer.outcome != HostOutcome::done) told_ = answer.number;
     const std::string text = answer.text.get();
     switch (answer.outcome) {
       case HostOutcome::done:
@@ -240,7 +239,7 @@ class HostLink {
         memory_->under_way.read(call);
         lose(hangs(call.get()), true);
       } else {
-        tell_of_late_answer();
+        tell_of_late_refusal();
       }
     }
   }
@@ -254,13 +253,13 @@ class HostLink {
     if (fault.characters[0] != '\0') tell(device_, fault.get());
   }
 
-  void tell_of_late_answer() {
-    std::uint32_t late = late_;
-    HostAnswer answer{};
-    if (late == 0 || !has_come(memory_->done, late)) return;
-    if (memory_->answer.read(answer) && answer.number == late && answer.outcome != HostOutcome::done)
-      tell(device_, "a command was refused late: " + answer.text.get());
-    late_.compare_exchange_strong(late, 0);
+  void tell_of_late_refusal() {
+    const std::uint32_t late = late_;
+    HostAnswer refusal{};
+    if (late == 0 || !memory_->refusal.read(refusal)) return;
+    if (refusal.number == 0 || !has_come(late, refusal.number)) return;
+    if (told_.exchange(refusal.number) == refusal.number || is_recovering_) return;
+    tell(device_, "a command was refused late: " + refusal.text.get());
   }
 
   Device& device_;
@@ -270,7 +269,8 @@ class HostLink {
   std::uint32_t asked_ = 0;
   std::atomic<std::uint32_t> seen_ = 0;  // changes of the host's fault that the device was told of
   std::atomic<bool> is_recovering_;
-  std::atomic<std::uint32_t> late_ = 0;  // the command whose end nobody waits for
+  std::atomic<std::uint32_t> late_ = 0;  // the newest command whose end nobody has waited for
+  std::atomic<std::uint32_t> told_ = 0;  // the newest refusal that somebody knows of
   std::atomic<bool> is_lost_ = false;
   std::atomic<bool> ends_ = false;
   std::mutex mutex_;

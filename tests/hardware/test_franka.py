@@ -391,6 +391,8 @@ def test_a_hand_whose_cable_was_out_is_connected_again_by_recover(robot: Virtual
                 hand.state()
                 time.sleep(0.01)
         time.sleep(1.5)
+        with pytest.raises(DeviceFault):
+            hand.recover()
         robot.tell("clear")
         hand.recover()
         for opening in (0.5, 1.0):

@@ -229,6 +229,19 @@ def test_a_command_that_is_refused_late_is_a_fault_whatever_is_asked_next(tmp_pa
             arm.recover()
 
 
+def test_commands_that_are_refused_late_are_a_fault_while_others_follow(tmp_path: Path) -> None:
+    with unruly_arm(tmp_path) as arm:
+        with pytest.raises((DeviceFault, InvalidAction), match="2 rad away"):  # noqa: PT012
+            for _ in range(50):
+                drop(tmp_path, "command", "refuse late")
+                arm.command_joints(HOME)
+                time.sleep(0.02)
+        wait_for(lambda: "refused late" in arm.fault)
+        (tmp_path / "command").unlink(missing_ok=True)
+        arm.recover()
+        assert arm.fault == ""
+
+
 def test_a_controller_may_take_its_time_to_give_way(tmp_path: Path) -> None:
     with unruly_arm(tmp_path) as arm:
         host = arm.host

@@ -39,6 +39,11 @@ class PerRobot(Agent):
             )
         self._paces = {name: Pace(env, agents[name]) for name in env.robots}
 
+    @property
+    def agents(self) -> dict[str, Agent]:
+        """The agent of each robot, by its name."""
+        return {name: pace.agent for name, pace in self._paces.items()}
+
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Have all agents begin an episode."""
         for pace in self._paces.values():

@@ -136,7 +136,8 @@ class FrankaHand(Gripper):
     def _recover(self) -> None:
         if self._is_silent:  # the library cannot reconnect, and the hand serves one connection
             self._ends.set()
-            self._threads[0].join(CLOSING)
+            for thread in self._threads[:1]:  # none after an attempt that failed
+                thread.join(CLOSING)
             self._close()
             self._open()
         self._problem = ""

@@ -92,7 +92,7 @@ class Planner:
             start: Joints [rad], (dof,).
             goal: Joints [rad], (dof,), or several of which any will do, (n, dof); or a pose of the TCP in the base
                 frame. A pose may have many solutions: those found that are free are all goals. Goals for which the
-                margin would have to be less than for others do not count.
+                margin would have to be less than for others count where no path to these is found in half of the time.
             seed: Seed of everything random.
             shortcut: Whether to shorten the path.
 
@@ -109,16 +109,13 @@ class Planner:
         goals = self.goals(goal, start=first, seed=seed) if isinstance(goal, Pose) else self._joints("goal", goal)
         goals = self._require_free("goal", goals)
         room = self.checker.clearance_rows(np.vstack([first, goals]), self.margin + INSIDE)[0] - INSIDE
-        best = float(room[1:].max())
+        best, least = float(room[1:].max()), float(room[1:].min())
         margin = max(min(self.margin, float(room[0]), best), 0.0)
-        goals = goals[room[1:] >= min(margin, best)]
-        step = STEP if margin >= STEP / 2 else max(2.0 * margin, STEP / 5)
-        hits = self.checker.first_hit_rows(np.broadcast_to(first, goals.shape), goals, step, TURN, margin)[0]
-        direct = goals[np.isinf(hits)]
-        if len(direct):
-            rows = np.array([first, direct[np.argmin(np.linalg.norm(direct - first, axis=1))]])
-        else:
-            rows = self._search(planner, first, goals, margin, step, seed, shortcut)
+        chosen = goals[room[1:] >= min(margin, best)]
+        is_all = len(chosen) == len(goals)
+        rows = self._way(planner, first, chosen, margin, seed, shortcut, self.time_limit / (1 if is_all else 2))
+        if rows is None and not is_all:
+            rows = self._way(planner, first, goals, max(min(margin, least), 0.0), seed, shortcut, self.time_limit / 2)
         if rows is None:
             raise PlanningFailed(
                 f"{self.planner} has found no path in {self.time_limit:g} s. Raise time_limit, lower margin "
@@ -126,6 +123,17 @@ class Planner:
                 reason="time",
             )
         return Path(rows)
+
+    def _way(
+        self, planner: Any, first: Rows, goals: Rows, margin: float, seed: int, shortcut: bool, time_limit: float
+    ) -> Rows | None:
+        """Return the straight way to the nearest goal that has one, or one that is found in time [s]; else None."""
+        step = STEP if margin >= STEP / 2 else max(2.0 * margin, STEP / 5)
+        hits = self.checker.first_hit_rows(np.broadcast_to(first, goals.shape), goals, step, TURN, margin)[0]
+        direct = goals[np.isinf(hits)]
+        if len(direct):
+            return np.array([first, direct[np.argmin(np.linalg.norm(direct - first, axis=1))]])
+        return self._search(planner, first, goals, margin, step, seed, shortcut, time_limit)
 
     def goals(self, pose: Pose, *, start: ArrayLike, seed: int = 0) -> Rows:
         """Return joints that reach a pose of the TCP in the base frame, nearest to the start first, (n, dof).
@@ -206,7 +214,15 @@ class Planner:
         )
 
     def _search(
-        self, planner: Any, start: Rows, goals: Rows, margin: float, step: float, seed: int, shortcut: bool
+        self,
+        planner: Any,
+        start: Rows,
+        goals: Rows,
+        margin: float,
+        step: float,
+        seed: int,
+        shortcut: bool,
+        time_limit: float,
     ) -> Rows | None:
         """Run a planner of OMPL; None if it finds no way in time."""
         base, util, checker, dof = _ompl("base"), _ompl("util"), self.checker, self.checker.dof
@@ -246,7 +262,7 @@ class Planner:
             made.setRange(RANGE)
         made.setProblemDefinition(definition)
         made.setup()
-        end, calls = time.monotonic() + self.time_limit, 0
+        end, calls = time.monotonic() + time_limit, 0
 
         def is_over() -> bool:
             nonlocal calls

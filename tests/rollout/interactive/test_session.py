@@ -16,7 +16,7 @@ from rcs.envs import Env
 from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Action, Observation
-from rcs.errors import DatasetError, InvalidSetup, SimulationError, UnknownName, WrongOrder
+from rcs.errors import DatasetError, DeviceFault, InvalidSetup, SimulationError, UnknownName, WrongOrder
 from rcs.rollout.interactive.session import Session, playable
 from rcs.teleop import HandReading, Operator
 from tests.teleop.scripted_device import ScriptedDevice, at, held
@@ -252,6 +252,42 @@ def test_a_take_that_the_disk_does_not_keep_is_told_once_and_the_next_reset_goes
             session.reset()
         session.reset()
         assert session.verdict == "running"
+
+
+def test_no_agent_begins_after_a_take_that_the_disk_does_not_keep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Session(replace(playable(Setup(task="PickCuboid")), stepping="async"), out=tmp_path / "set") as session:
+        session.obey("start")
+        session.step()
+
+        def fail(*_: Any) -> Any:
+            raise DatasetError("no room on the disk")
+
+        monkeypatch.setattr(Recorder, "finish", fail)
+        with pytest.raises(DatasetError, match="no room"):
+            session.let_agent(True)
+        assert session.verdict == "stopped"
+        assert "no room" in session.problem
+        assert not session.advance()
+        session.reset()
+        assert session.advance()
+
+
+def test_an_agent_that_cannot_be_closed_does_not_keep_the_robots_from_braking() -> None:
+    class Stuck(Asking):
+        def close(self) -> None:
+            raise DeviceFault("it cannot be closed")
+
+    setup = replace(playable(Setup(task="Free")), stepping="async")
+    with Session(setup, agent=lambda env: Stuck(env, "stop", 99)) as session:
+        session.let_agent(True)
+        for _ in range(5):
+            session.step()
+        with pytest.raises(DeviceFault, match="cannot be closed"):
+            session.release()
+        assert session.agent is None
+        assert all(guide.is_braking for guide in session.guides.values())
 
 
 def test_an_episode_that_ends_by_itself_ends_the_take_with_the_verdict_of_the_task(tmp_path: Path) -> None:

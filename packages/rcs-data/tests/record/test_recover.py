@@ -214,12 +214,22 @@ def test_rows_behind_a_damaged_start_are_left_alone(
 
 def test_a_number_that_changed_on_the_disk_is_not_taken_for_data(tmp_path: Path, stream: Path) -> None:
     data = bytearray(stream.read_bytes())
-    data[data.rindex(struct.pack("<d", 1234.5)) + 5] ^= 1
+    data[data.index(struct.pack("<d", 1234.5)) + 5] ^= 1
     stream.write_bytes(data)
     report = recover(tmp_path)
     assert [name for name, _ in report.failed] == ["a"]
     assert "is not what was written" in str(report)
     assert stream.read_bytes() == data
+
+
+def test_rows_before_a_last_one_that_a_loss_of_power_left_empty_become_an_episode(tmp_path: Path, stream: Path) -> None:
+    data = bytearray(stream.read_bytes())
+    size = struct.unpack("<2I", stream.with_name("rows.crc").read_bytes()[-8:])[0]
+    data[-size:] = bytes(size)
+    stream.write_bytes(data)
+    report = recover(tmp_path)
+    assert (report.recovered, report.cut) == (("a",), ("a",))
+    assert Dataset.open(tmp_path)["a"].length == 4
 
 
 def test_half_of_the_first_row_is_no_row(tmp_path: Path, stream: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from rcs_data import Dataset, DatasetWriter
+from rcs_data import DatasetWriter
 from rcs_data.files.feature import Colour
 
 from rcs.envs.env import Env
@@ -82,7 +82,7 @@ def record_all(
     """
     info = dataset_info(env, colour=colour, jpeg_quality=jpeg_quality, notes=notes)
     with DatasetWriter.open(Path(out), info, resume=True) as writer:
-        taken = {episode.id for episode in Dataset.open(out)}
+        taken = writer.taken()
         names = (name for i in itertools.count() if (name := f"{i:06d}") not in taken)
         recorders = [recorder_of(env, writer, names) for _ in range(env.num_envs if isinstance(env, VecEnv) else 1)]
         for copy, recorder in enumerate(recorders):

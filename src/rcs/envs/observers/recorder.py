@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rcs_data import Dataset, DatasetWriter, EpisodeRecord, EpisodeWriter, Feature
+from rcs_data import DatasetWriter, EpisodeRecord, EpisodeWriter, Feature
 from rcs_data.files.flags import FrameFlag, camera_of, flags_key
 from rcs_data.record.background import BackgroundEpisode
 
@@ -122,7 +122,7 @@ class Recorder(Observer):
 
     def free_name(self, episode_id: str) -> str:
         """Return an id that no episode has: the given one, or with a number where a killed run has left that."""
-        taken, name, number = Dataset.open(self._writer.path), episode_id, 1
+        taken, name, number = self._writer.taken(), episode_id, 1
         while name in taken:
             number += 1
             name = f"{episode_id}-{number}"
@@ -145,7 +145,7 @@ class Recorder(Observer):
         if self._take is not None:
             raise WrongOrder(f"Take {self._take[0]!r} is under way; finish or discard it before the next.")
         if self._number is None:
-            numbers = (int(one.id) for one in Dataset.open(self._writer.path).episodes if one.id.isdigit())
+            numbers = (int(name) for name in self._writer.taken() if name.isdigit())
             self._number = max(numbers, default=-1) + 1
         self._begin_take(f"{self._number:06d}", instruction, at_reset)
         self._number += 1

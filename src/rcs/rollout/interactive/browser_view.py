@@ -117,7 +117,10 @@ class BrowserView(Page):
     def _let_go(self, link: PageLink, why: str) -> None:
         """Have the robots stay because nobody leads them; the next page that asks leads."""
         link.leader = None
-        self.session.release()
+        try:
+            self.session.release()
+        except RcsError as err:  # of an agent that is closed; the robots brake
+            _log.warning("%s: %s", type(err).__name__, err)
         if self._panel is not None:
             self._panel.show_message(why)
 

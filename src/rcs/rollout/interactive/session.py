@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from rcs_data.files.closing import Closing
 
-from rcs.agents import Agent, Event, Pace, agent_for
+from rcs.agents import Agent, Event, Pace, PerRobot, agent_for
 from rcs.agents.guide import Guide
 from rcs.devices import lookup
 from rcs.envs.env import Env
@@ -263,9 +263,10 @@ class Session(Closing):
 
         A person with a device in the hand still leads.
         """
-        if not isinstance(self.agent, Operator | Takeover):
-            self._end_agent()
+        pace = None if _is_led_by_a_person(self.agent) else self._take_off_agent()
         self._brake()
+        if pace is not None:
+            pace.agent.close()
 
     def _brake(self) -> None:
         for guide in self.guides.values():
@@ -346,9 +347,6 @@ class Session(Closing):
         return actions if len(actions) > 1 else next(iter(actions.values()))
 
     def _begin(self, seed: int, state: Any) -> None:
-        if self.takes is not None and self.takes.is_recording:
-            self.env.hold()
-            self.takes.finish(None)
         self.problem = ""
         """Why the episode was stopped; empty if nothing is wrong."""
         self._is_fault = False
@@ -358,6 +356,9 @@ class Session(Closing):
         self.info = {}
         self.statistics, self._ended = LoopStatistics(self.env.frequency), None
         try:
+            if self.takes is not None and self.takes.is_recording:
+                self.env.hold()
+                self.takes.finish(None)
             options = None if state is None or not np.isfinite(state).all() else {"state": state}
             self.observation, self.info = self.env.reset(seed=seed, options=options)
             self.seed = seed
@@ -375,13 +376,24 @@ class Session(Closing):
         self.is_over = False
 
     def _end_agent(self) -> None:
-        if self._pace is not None:
-            pace, self._pace, self.operator = self._pace, None, None
+        if (pace := self._take_off_agent()) is not None:
+            pace.agent.close()
+
+    def _take_off_agent(self) -> Pace | None:
+        if (pace := self._pace) is not None:
+            self._pace = self.operator = None
             for guide in self.guides.values():
                 guide.keep_opening(self.info)
-            pace.agent.close()
+        return pace
 
     def close(self) -> None:
         """Keep a take that is open, without a verdict, and close the environment. Closing twice is harmless."""
         calls: list[Callable[[], None]] = [self._recording.close, self._end_agent, self.env.close]
         for_all(calls if self._mirror is None else [*calls, self._mirror.close])
+
+
+def _is_led_by_a_person(agent: Agent | None) -> bool:
+    """Return whether a person leads a robot through an agent, with a device in the hand."""
+    if isinstance(agent, PerRobot):
+        return any(map(_is_led_by_a_person, agent.agents.values()))
+    return isinstance(agent, Operator | Takeover)

@@ -165,7 +165,10 @@ def prune(path: str | Path) -> int:
 
 def _refuse_open(root: Path) -> None:
     if still_open := folder_names(root, OPEN_FOLDER):
-        raise DatasetError(f"Episodes {still_open} of {root} were left open by a recording; run recover first.")
+        raise DatasetError(
+            f"Episodes {still_open} of {root} were left open by a recording; run recover first, or `check --repair` for "
+            "those that it leaves alone."
+        )
 
 
 def _freed(folder: Path) -> int:

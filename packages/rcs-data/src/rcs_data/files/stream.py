@@ -138,10 +138,10 @@ class StreamReader:
         return len(self._checksums) > 1 and self._size > self._checksums[0][0]
 
     def batches(self) -> Iterator[pa.RecordBatch]:
-        """Yield the batches before the end or the first incomplete one.
+        """Yield the batches before the end or the first incomplete one; a last one that is damaged counts as that.
 
         Raises:
-            CorruptEpisode: A batch is not what was written.
+            CorruptEpisode: A batch before the last is not what was written.
         """
         number = 0
         while self._reader is not None:
@@ -165,9 +165,15 @@ class StreamReader:
             return
         data = self._source.read(size)
         self._source.seek(place)
-        if zlib.crc32(data) != checksum:
-            what = f"batch {number}" if number else "the header"
-            raise CorruptEpisode(f"{self._path} is damaged: {what} is not what was written; it is left alone.")
+        if zlib.crc32(data) == checksum:
+            return
+        if number > 1 and number == len(self._checksums) - 1 and place + size == self._size:
+            raise OSError("the last batch is damaged, as a loss of power leaves it")
+        what = f"batch {number}" if number else "the header"
+        raise CorruptEpisode(
+            f"{self._path} is damaged: {what} is not what was written; it is left alone. `rcs data check --repair` puts "
+            "it aside."
+        )
 
 
 def _checksums(path: Path) -> list[tuple[int, int]] | None:

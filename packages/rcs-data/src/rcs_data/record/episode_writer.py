@@ -82,7 +82,8 @@ class EpisodeWriter:
             except FileExistsError as err:
                 raise DatasetError(
                     f"Episode {episode_id!r} is already being recorded, or was when its writer died: {self._folder}. "
-                    "Resume the dataset to recover or discard it, or choose another id."
+                    "Resume the dataset to recover or discard it, or choose another id; `rcs data check --repair` puts "
+                    "one aside that cannot be read."
                 ) from err
             # Checked only now: a writer that finished this id in between has freed the open folder's name.
             if episode_id in index.refresh():

@@ -24,6 +24,7 @@ from rcs_data.files.layout import (
     check_episode_id,
     check_path,
     episode_folder,
+    folder_names,
     has_dataset,
     new_trash,
     open_folder,
@@ -141,6 +142,14 @@ class DatasetWriter(Closing):
         self._open = [other for other in self._open if other.state == "open"]
         self._open.append(writer)
         return writer
+
+    def taken(self) -> set[str]:
+        """Return the ids that a new episode cannot have: those of episodes, and of open ones that were left alone.
+
+        Raises:
+            CorruptEpisode: The index is damaged.
+        """
+        return {*self._index.refresh(), *folder_names(self.path, OPEN_FOLDER)}
 
     def adopt(self, episode_id: str, files: Files) -> None:
         """Take in a complete episode that was recorded into another dataset of the same info, byte for byte.

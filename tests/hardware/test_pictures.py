@@ -1,0 +1,46 @@
+"""Times of pictures from a network are right, whatever the camera's clock does between two connections."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+
+from rcs.devices import CameraMode
+from rcs.hardware.pictures import READ_LIMIT, HttpPictures, Picture
+
+HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=x\r\n\r\n"
+
+
+def first_picture(pictures: HttpPictures, server: socket.socket, stamp: float) -> Picture:
+    """Connect, and return the first picture, which has a time on the camera's clock."""
+
+    def answer() -> None:
+        connection, _ = server.accept()
+        with connection:
+            connection.recv(4096)
+            part = f"--x\r\nContent-Length: 4\r\nX-Timestamp: {stamp}\r\n\r\njpeg"
+            connection.sendall(HEAD + part.encode())
+            connection.recv(4096)  # until it is closed there
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    pictures.open()
+    picture = pictures.newest()
+    pictures.close()
+    thread.join()
+    return picture
+
+
+def test_a_clock_that_begins_anew_after_its_last_time_is_noticed() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        pictures = HttpPictures(f"http://127.0.0.1:{server.getsockname()[1]}/", CameraMode(320, 240, 30.0, False))
+        first = first_picture(pictures, server, 5.0)
+        time.sleep(1.5 * READ_LIMIT)
+        begin = time.monotonic()
+        again = first_picture(pictures, server, 5.1)
+        assert begin <= again.time <= time.monotonic(), "it is not as old as the last one"
+        assert again.time > first.time
+        clock = pictures.clock
+        first_picture(pictures, server, 5.1 + time.monotonic() - again.time)
+        assert pictures.clock is clock, "one that goes on keeps its fit"
