@@ -279,7 +279,7 @@ def test_an_agent_that_cannot_be_closed_does_not_keep_the_robots_from_braking() 
         def close(self) -> None:
             raise DeviceFault("it cannot be closed")
 
-    setup = replace(playable(Setup(task="Free")), stepping="async")
+    setup = replace(playable(Setup(task="Free", relative="absolute")), stepping="async")
     with Session(setup, agent=lambda env: Stuck(env, "stop", 99)) as session:
         session.let_agent(True)
         for _ in range(5):

@@ -179,6 +179,11 @@ def test_a_torn_tail_is_cut_and_an_empty_episode_removed(
 
 
 @pytest.fixture
+def each_row_flushed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs_data.record.episode_writer._FLUSH_AFTER_S", -1.0)
+
+
+@pytest.fixture
 def stream(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> Path:
     """The stream of an episode that was left open with five rows, all joints of which are at 1234.5."""
     with DatasetWriter.open(tmp_path, make_info()) as writer:
@@ -222,6 +227,7 @@ def test_a_number_that_changed_on_the_disk_is_not_taken_for_data(tmp_path: Path,
     assert stream.read_bytes() == data
 
 
+@pytest.mark.usefixtures("each_row_flushed")
 def test_rows_before_a_last_one_that_a_loss_of_power_left_empty_become_an_episode(tmp_path: Path, stream: Path) -> None:
     data = bytearray(stream.read_bytes())
     size = struct.unpack("<2I", stream.with_name("rows.crc").read_bytes()[-8:])[0]
