@@ -97,6 +97,16 @@ def test_a_state_tells_what_the_simulated_robot_does(client: Client):
     assert np.abs(state["tau_J"][3]) > 10.0, "the weight of the forearm"
 
 
+def test_a_damaged_state_does_not_arrive(robot: VirtualProcess, client: Client):
+    mounting = ["F_T_NE", "NE_T_EE", "F_T_EE", "EE_T_K"]  # which nothing changes
+    first = client.state()
+    robot.tell("corrupt", "1/2")
+    for _ in range(200):
+        state = client.state()
+        assert all((state[name] == first[name]).all() for name in mounting)
+    robot.tell("clear")
+
+
 def test_the_model_has_the_masses_and_the_frames_of_the_simulated_arm():
     given = mujoco.MjModel.from_xml_string(urdf_of(FR3))
     own = load(FR3).compile()

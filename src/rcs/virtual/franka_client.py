@@ -61,19 +61,19 @@ class Client:
             return
 
     def send_datagram(self, state: bytes) -> None:
-        """Send a state."""
+        """Send a state; one that is damaged on its way is dropped, as UDP's checksum does."""
         self._sent_at = time.monotonic()
-        self._line.send(state, self._send_datagram)
+        self._line.send(state, lambda passed: self._send_datagram(passed) if passed == state else None)
 
     def read_datagrams(self) -> None:
-        """Read commands and keep the newest."""
+        """Read commands and keep the newest that is not damaged."""
         while True:
             try:
                 datagram = self.udp.recv(MOST_BYTES)
             except (BlockingIOError, ConnectionRefusedError):
                 return
-            passed = self._line.receive(datagram)
-            self._datagram = passed if passed is not None else self._datagram
+            if self._line.receive(datagram) == datagram:
+                self._datagram = datagram
 
     def take_datagram(self) -> bytes | None:
         """Return the newest command since the last call, if any."""
