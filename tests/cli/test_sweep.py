@@ -6,16 +6,23 @@ import re
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from pathlib import Path
 
 import pytest
 from rcs_data.ledger import Ledger
+from rcs_data.ledger.condition import key_of
 
+import rcs
+from rcs.agents.identity import identity_of
 from rcs.cli.main import main
-from rcs.cli.sweep import checkpoints_in, name_of
+from rcs.cli.sweep import checkpoints_in, name_of, wait_for_others
 from rcs.errors import RcsError
+from rcs.rollout.evaluate import evaluate
+from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.gpus import own_gpu
+from rcs.rollout.logbook import condition_of
 from rcs.rollout.serving import serving
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -106,6 +113,34 @@ def test_served_checkpoints_are_evaluated_the_best_again_and_no_server_is_left(
     code, told = call(capsys, *words)
     assert code == 0, told
     assert (out / "ledger.jsonl").read_bytes() == before
+
+
+CLAIM = """
+    import sys
+    from rcs_data.ledger import Ledger
+    ledger = Ledger(sys.argv[1])
+    print(ledger.claim(sys.argv[2]), flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_episodes_that_another_process_runs_are_waited_for_and_run_here_if_it_dies(tmp_path: Path) -> None:
+    setup = rcs.Setup(task="PickCuboid", max_episode_steps=4)
+    evaluation, summary = Evaluation(setup=setup, agent="PickExpert", episodes=2, out=tmp_path), Summary()
+    key = key_of(condition_of(evaluation, identity_of("PickExpert", "PickCuboid")).hash, evaluation.seed_of(1))
+    Ledger.open(tmp_path).close()
+    words = [sys.executable, "-c", textwrap.dedent(CLAIM), str(tmp_path), key]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "True\n"
+        list(evaluate(evaluation, summary))
+        assert [attempt.number for attempt in summary.attempts] == [0]
+        threading.Timer(0.5, other.kill).start()
+        assert wait_for_others(evaluation, summary, pause=0.1)
+        assert other.wait(10.0) != 0
+    list(evaluate(evaluation, summary))
+    assert [attempt.number for attempt in summary.attempts] == [0, 1]
+    assert not wait_for_others(evaluation, summary)
 
 
 def test_what_is_wrong_with_a_run_or_a_command_is_said(

@@ -16,10 +16,11 @@ from vlagents import Chunk, ConnectionLost, Metadata, Observation, PartSpec, Pol
 from vlagents.policies.scripted import ScriptedPolicy
 
 import rcs
+from rcs.devices.fakes import FakeGripper
 from rcs.envs import Env
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
-from rcs.errors import InvalidSetup, RcsError
+from rcs.errors import InvalidSetup, RcsError, WrongOrder
 from rcs.policy import NOTES, ChunkAgent, Execution, ServedPolicy, offer_of
 from rcs.rollout import run_episode
 
@@ -350,3 +351,60 @@ def test_in_real_time_the_loop_goes_on_while_the_policy_computes() -> None:
                 break
         assert agent.notes()["policy_latency"] > 9 / 30
         agent.close()
+
+
+def test_in_real_time_an_episode_begins_when_the_last_ones_call_has_ended() -> None:
+    class OneAtATime(Swing):
+        begun, goes_on = threading.Event(), threading.Event()
+        is_busy = False
+
+        def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
+            assert not self.is_busy, "another call is under way"
+            super().reset(session, instruction, seed=seed)
+
+        def infer(self, observation: Observation) -> Chunk:
+            self.is_busy = True
+            self.begun.set()
+            assert self.goes_on.wait(30.0)
+            self.is_busy = False
+            return super().infer(observation)
+
+    with rcs.make("Free", robot="fr3", relative=False, stepping="realtime", max_episode_steps=None) as env:
+        policy = OneAtATime()
+        agent = ChunkAgent(env, policy)
+        observation, info = env.reset(seed=0)
+        agent.reset(observation, info)
+        agent.act(observation, info)
+        assert policy.begun.wait(10.0)
+        threading.Timer(0.3, policy.goes_on.set).start()
+        agent.reset(observation, info)
+        assert agent.failure is None, agent.failure_message
+        assert len(policy.resets) == 2
+        waiting = agent._question(observation, info)
+        agent.reset(observation, info)
+        with pytest.raises(WrongOrder, match="is over"):
+            waiting()
+        assert len(policy.seen) == 1, "a question of the last episode is not asked in this one"
+        agent.close()
+
+
+def test_before_the_first_answer_a_real_gripper_drops_nothing() -> None:
+    broken = ScriptedPolicy(lambda *_: 1 / 0, Metadata(name="broken", action=(JOINTS, GRIPPER), rate=30.0))
+
+    def with_gripper(gripper: FakeGripper) -> Env:
+        return rcs.make("Free", robot="fr3", relative=False, hardware={"fr3": "fake", "fr3/gripper": gripper})
+
+    def openings(env: Env) -> list[float]:
+        agent = ChunkAgent(env, broken)
+        found = [float(observation["gripper"][0]) for _, observation, _ in rollout(env, agent, 5)]
+        agent.close()
+        return found
+
+    with with_gripper(FakeGripper()) as env:
+        assert openings(env) == [1.0] * 5, "an open one stays open"
+    gripper = FakeGripper()
+    gripper.body.values = gripper.body.target = np.array([0.6])
+    with with_gripper(gripper) as env:
+        assert max(openings(env)) <= 0.6, "rounded, that would be open"
+        gripper.body.values = gripper.body.target = np.array([1.0])  # around something as wide as that
+        assert openings(env)[-1] < 0.9, "the last command was to close"

@@ -191,3 +191,13 @@ def test_the_result_of_a_call_before_the_episode_is_dropped() -> None:
 def test_options_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidSetup, match=next(iter(wrong))):
         Execution(**wrong)
+
+
+@pytest.mark.parametrize("mode", ["ensemble", "rtc"])
+def test_no_chunk_is_mixed_in_beyond_its_time_to_live(mode: Any) -> None:
+    course = Course(Execution(mode=mode, rows=6, valid_for=0.3), horizon=24)
+    course.offset = lambda begin: 100.0 if begin == 0.0 else 0.0
+    values = course.run(24)
+    apart = [-1.0 if value is None else value - 2.0 * (i + 1) * PERIOD for i, value in enumerate(values)]
+    assert min(apart[:9]) > 1.0, "the first chunk is executed"
+    np.testing.assert_allclose(apart[10:], 0.0, atol=1e-9)

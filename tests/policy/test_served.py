@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vlagents import ConnectionLost, Metadata, Observation, PartSpec, Server
+from vlagents import ConnectionLost, ImageSpec, Metadata, Observation, PartSpec, Server
 from vlagents.policies.scripted import ScriptedPolicy
 from vlagents.wire.openpi import pack, unpack
 
@@ -165,6 +165,17 @@ def test_a_setup_takes_what_the_policy_names() -> None:
     counts = replace(metadata, state=(PartSpec("target/joints", 7, "rad"),))
     assert fitted(rcs.Setup(), counts).layers == ("ObserveTarget",)
     assert fitted(fitted(rcs.Setup(), counts), counts).layers == ("ObserveTarget",)
+
+
+def test_cameras_of_different_sizes_have_those_that_the_policy_names() -> None:
+    images = (ImageSpec("wrist", 240, 320), ImageSpec("side", 128, 128))
+    metadata = Metadata(name="sees", images=images, action=(JOINTS, GRIPPER))
+    cameras = fitted(rcs.Setup(cameras="all"), metadata).cameras
+    assert cameras.names == ("wrist", "side")
+    assert [cameras.size_of(name) for name in cameras] == [(320, 240), (128, 128)]
+    assert fitted(rcs.Setup(cameras="wrist"), metadata, {"cameras"}).cameras == rcs.Cameras(names=("wrist",))
+    same = replace(metadata, images=(images[0], replace(images[0], name="side")))
+    assert fitted(rcs.Setup(), same).cameras.image_size == (320, 240)
 
 
 def test_without_vlagents_the_error_names_the_extra(run_program: Any) -> None:

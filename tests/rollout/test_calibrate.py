@@ -141,3 +141,14 @@ def test_in_real_time_pictures_count_only_when_the_arm_has_come_to_rest() -> Non
     off = rig.camera_in_mount.inverse() * found.camera_in_mount
     assert 1000 * np.linalg.norm(off.translation) < 0.5
     assert asked.count(True) >= 8 and False in asked
+
+
+def test_a_slow_arm_has_the_time_that_its_way_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.rollout.calibrate.LONGEST", 1.5)
+    with rcs.make("Free", robot="fr3", relative=False, hardware="fake", max_episode_steps=None) as env:
+        tour = Tour(env, speed=0.2)
+        target = tour.joints + 0.4 * np.eye(7)[6]
+        tour.go_to(target)
+        np.testing.assert_allclose(tour.joints, target, atol=3e-3)
+        with pytest.raises(InvalidSetup, match="speed is 0"):
+            Tour(env, speed=0)

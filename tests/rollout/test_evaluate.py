@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import io
 import subprocess
 import sys
 import time
@@ -15,10 +16,12 @@ import pytest
 from rcs_data.ledger import Ledger, Row
 from rcs_data.ledger.row import TIMES
 from rcs_data.read.verdicts import wilson_interval
+from rich.console import Console
 
 import rcs
 from rcs.agents import Agent
 from rcs.agents.identity import identity_of
+from rcs.cli.runs import results_table
 from rcs.errors import InvalidSetup, RcsError, UnknownName, WrongOrder
 from rcs.rollout.collect import Attempt, seed_of
 from rcs.rollout.episode import EpisodeResult
@@ -215,6 +218,16 @@ def test_repetitions_are_run_and_counted_apart(tmp_path: Path) -> None:
     run(out=tmp_path, episodes=2)
     summary = run(out=tmp_path, episodes=2, repeat=2)
     assert (summary.found, len(summary.attempts)) == (2, 6)
+    assert (summary.judged, len(summary.results), summary.interval) == (2, 2, wilson_interval(0, 2))
+    assert (len(summary.repetitions), summary.changed) == (4, 0)
+    one = next(attempt for attempt in summary.attempts if attempt.number == 5)
+    summary.attempts.remove(one)
+    summary.attempts.append(replace(one, result=replace(one.result, success=True, failure=None)))
+    assert (summary.successes, summary.changed) == (0, 1)
+    page = io.StringIO()
+    Console(width=120, file=page).print(results_table(summary, 1.0, 1))
+    told = " ".join(page.getvalue().split())
+    assert "0 of 2 = 0.0 %" in told and "4 repeated, 1 ended differently" in told
     ledger = Ledger(tmp_path)
     assert [row.repeat for row in ledger.rows.values()] == [0, 0, 1, 1, 2, 2]
     assert len({row.seed for row in ledger.rows.values()}) == 2
@@ -286,6 +299,29 @@ def test_only_episodes_before_the_first_that_runs_decide(tmp_path: Path) -> None
         summary.attempts.append(Attempt(number=0, result=failed))
         assert book.is_decided(summary)
         assert book.pairs.only_b == 7
+
+
+def test_episodes_that_other_processes_have_written_decide_too(tmp_path: Path) -> None:
+    identity = identity_of(Stay, "PickCuboid")
+    better = Evaluation(setup=SETUP, agent=Stay, episodes=8, out=tmp_path, name="better")
+    idle = replace(better, name="idle", against="better", until=0.05)
+    done = EpisodeResult(seed=0, steps=4, success=True, failure=None, reward=0.0)
+    failed = [Attempt(number=number, result=replace(done, success=False, failure="timeout")) for number in range(8)]
+    with Logbook(better, identity, condition_of(better, identity)) as book:
+        for number in range(8):
+            book.add(Attempt(number=number, result=done))
+    condition = condition_of(idle, identity)
+    with Logbook(idle, identity, condition) as other, Logbook(idle, identity, condition) as mine:
+        summary = Summary()
+        for attempt in failed[1::2]:
+            mine.add(attempt)
+            summary.attempts.append(attempt)
+        assert not mine.is_decided(summary), "episode 0 still runs elsewhere"
+        for attempt in failed[::2]:
+            other.add(attempt)
+        mine.ledger.refresh()
+        assert mine.is_decided(summary)
+        assert list(mine.missing(summary)) == []
 
 
 @pytest.mark.gl

@@ -17,7 +17,7 @@ from rcs.envs.parts import Parts
 from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription
 from rcs.setups.make import resolve
-from rcs.setups.resolve import cameras_of
+from rcs.setups.resolve import cameras_of, devices_of
 
 
 def add_cameras(spec: mujoco.MjSpec) -> None:
@@ -122,3 +122,12 @@ def test_its_frames_are_those_that_mujocos_camera_in_the_file_draws() -> None:
         np.testing.assert_allclose(frame["intrinsics"][0, 0], focal)
     renderer.close()
     env.close()
+
+
+@pytest.mark.parametrize(("wanted", "opened"), [((1024, 768), (1280, 720)), ((224, 224), (424, 240))])
+def test_a_real_camera_is_opened_in_the_smallest_mode_that_is_large_enough_or_else_in_the_largest(
+    wanted: tuple[int, int], opened: tuple[int, int]
+) -> None:
+    parts = resolve(rcs.Setup(cameras=rcs.Cameras(names=("wrist",), image_size=wanted)))
+    mode = devices_of({"wrist": "fake:1"}, parts).cameras["wrist"].mode
+    assert (mode.width, mode.height) == opened

@@ -226,6 +226,8 @@ def results_table(summary: Summary, seconds: float, workers: int | str) -> Table
         table.add_row("agent", f"{identity.name}{place}{weights}")
     table.add_row("success", f"{interval}{high:.1f} %)" if summary.judged else "not judged")
     table.add_row("failures", ", ".join(f"{name} {count}" for name, count in summary.failures.most_common()) or "none")
+    if repeated := len(summary.repetitions):
+        table.add_row("repetitions", f"{repeated} repeated, {summary.changed} ended differently")
     if summary.found:
         table.add_row("found", f"{summary.found} of {len(summary.attempts)} episodes were in the ledger")
     table.add_row("speed", speed)

@@ -11,6 +11,8 @@ from typing import Annotated, Any
 import tyro
 from rcs_data.cli.console import plain_console
 from rcs_data.cli.program import INTERRUPTED
+from rcs_data.ledger import Ledger
+from rcs_data.ledger.condition import key_of
 from rcs_data.read.verdicts import Verdicts
 from rich.console import Console
 
@@ -37,7 +39,8 @@ class SweepCommand(SetupOptions):
 
     The best of many is chosen by luck, too: only its success on seeds that did not choose it is without a bias. Every
     episode is in the ledger, so that the same command goes on after a kill, and takes in checkpoints that came since.
-    Several sweeps of one run share the episodes; with `--serve`, each has a GPU of its own, where there are several.
+    Several sweeps of one run share the episodes, and each waits for those of the others before it goes on; with
+    `--serve`, each has a GPU of its own, where there are several.
     """
 
     training: tyro.conf.Positional[Path]
@@ -113,6 +116,9 @@ class SweepCommand(SetupOptions):
             attempts, made_by = attempts_of(evaluation, summary, self.pool)
             with interruptible(summary, console):
                 show(attempts, name, len(evaluation.numbers), console, lambda: len(summary.attempts))
+                while evaluation.until is None and wait_for_others(evaluation, summary):
+                    for _ in attempts_of(evaluation, summary, self.pool)[0]:
+                        pass
             tell(evaluation, summary, self.ledger.videos, time.perf_counter() - started, made_by, console)
         return summary
 
@@ -134,6 +140,31 @@ class SweepCommand(SetupOptions):
         from rcs.rl.checkpoint import open_checkpoint
 
         return steps >= open_checkpoint(path, trust=self.trust).training.steps
+
+
+def wait_for_others(evaluation: Evaluation, summary: Summary, pause: float = _PAUSE) -> bool:
+    """Wait for episodes of an evaluation that other processes run, repetitions aside.
+
+    Args:
+        evaluation: The evaluation, of which this process has nothing left to run.
+        summary: Its results so far; `is_interrupted` ends the wait.
+        pause: Time between two looks at the ledger [s].
+
+    Returns:
+        Whether to evaluate again: what the summary lacks is in the ledger, or free, for its process has ended.
+    """
+    assert evaluation.out is not None, "a sweep has a ledger"
+    known = {attempt.number for attempt in summary.attempts}
+    numbers = [number for number in range(evaluation.episodes) if number not in known]
+    left = {key_of(summary.condition, evaluation.seed_of(number)) for number in numbers}
+    if not left or summary.is_interrupted:
+        return False
+    with Ledger(evaluation.out) as ledger:
+        while not summary.is_interrupted:
+            if left <= ledger.refresh().keys() or any(ledger.claim(key) for key in left - ledger.rows.keys()):
+                return True
+            time.sleep(pause)
+    return False
 
 
 def checkpoints_in(run: Path) -> list[tuple[int, Path]]:

@@ -156,12 +156,14 @@ class HttpPictures:
         except (KeyError, ValueError):  # it has no clock
             taken = arrived if math.isnan(earliest) else earliest
             return Picture(jpeg=jpeg, number=self._number, time=max(taken - self._latency, 0.0))
+        taken = -math.inf
         try:
             taken = self.clock.host_time(at, arrived)
         except DeviceFault:
             if not is_first:
                 raise
-            self.clock = DeviceClock(self._latency)  # it has begun anew with the connection
+        if is_first and arrived - taken > READ_LIMIT:  # the camera's clock has begun anew with the connection
+            self.clock = DeviceClock(self._latency)
             taken = self.clock.host_time(at, arrived)
         return Picture(jpeg=jpeg, number=self._number, time=taken, device_time=at)
 

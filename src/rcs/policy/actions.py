@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 CLIPPED = 1e-6
 """From which difference on a value counts as clipped."""
+NEARLY_OPEN = 0.95
+"""Opening from which on a gripper holds nothing, 0 closed … 1 open."""
 
 _KINDS: dict[str, Kind] = {
     JOINTS: "linear", HAND: "linear", TQUAT: "pose", XYZRPY: "rpy", GRIPPER: "opening", TWIST: "velocity",
@@ -56,10 +58,30 @@ class PolicyActions:
         return bool(self._held)
 
     def reset(self, observation: Observation) -> None:
-        """Begin an episode; grippers are as they are measured."""
+        """Begin an episode; real grippers keep the last command to them, others are as they are measured."""
         self._held, self._was_moved, self.is_clipped = {}, False, False
         measured = flat(observation)
-        self._grips = {name: measured[name] for name in self._boxes if key_of(name) in (GRIPPER, HAND)}
+        names = [name for name in self._boxes if key_of(name) in (GRIPPER, HAND)]
+        self._grips = {
+            name: self._grip(name, measured[name]) if self._is_real(name) else measured[name] for name in names
+        }
+
+    def _is_real(self, name: str) -> bool:
+        """Return whether a gripper or hand is a real device."""
+        robot = name.rpartition("/")[0] or next(iter(self._env.robots), "")
+        placement = self._env.robots.get(robot)
+        effector = None if placement is None else placement.end_effector
+        origin = "simulation" if effector is None else self._env.platform.get(f"{robot}/{effector.name}")
+        return origin not in ("simulation", None)
+
+    def _grip(self, name: str, measured: Array) -> Array:
+        """Return with what a real gripper or hand begins: the last command to it, or where it is.
+
+        One that only opens or closes fully stays closed unless it is open, for rounding would drop what it holds.
+        """
+        value = np.asarray(flat(self._env.stack.executed).get(name, measured), np.float64)
+        is_rounded = key_of(name) == GRIPPER and self._env.setup.binary_gripper
+        return (value >= NEARLY_OPEN).astype(np.float64) if is_rounded else value
 
     def start(self, observation: Observation, info: Mapping[str, Any]) -> dict[str, Array]:
         """Return where a chunk starts that is computed now, by part: the last target, or the measured state.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -18,7 +19,7 @@ from rcs.agents.identity import Identity
 from rcs.envs.env import Env
 from rcs.envs.observer import Note
 from rcs.envs.spaces import Action, Observation
-from rcs.errors import InvalidSetup, RcsError
+from rcs.errors import InvalidSetup, RcsError, WrongOrder
 from rcs.policy.actions import PolicyActions
 from rcs.policy.execution import Execution, Executor
 from rcs.policy.interface import policy_observation, require_fit, vlagents
@@ -88,6 +89,8 @@ class ChunkAgent(Agent):
         self._actions = PolicyActions(env, self.metadata)
         self._executor = Executor(execution, self._period, f"policy {self._session}" if env.is_real else None)
         self._instruction = ""
+        self._turn = threading.Lock()  # a policy in this process takes one call at a time
+        self._episode = 0
         self._needs_reset = self._has_ended = self._is_lost = False
         self._message: str | None = None
         self._now = self._begun = 0.0
@@ -96,10 +99,13 @@ class ChunkAgent(Agent):
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Begin an episode; a policy that fails does so in this episode, and the robot holds.
 
+        A call of the last episode that is under way ends first; one that waits is not made any more.
+
         Raises:
             RcsError: The policy cannot be reached, for `WAIT` seconds.
             InvalidSetup: Another policy is at the address.
         """
+        self._episode += 1
         self._executor.reset()
         self._actions.reset(observation)
         self._has_ended, self._is_lost, self._message = False, False, None
@@ -213,7 +219,8 @@ class ChunkAgent(Agent):
         until = time.monotonic() + WAIT
         while True:
             try:
-                return self._begin()
+                with self._turn:
+                    return self._begin()
             except Exception as err:
                 if not self._is_gone(err) or time.monotonic() + PAUSE > until:
                     raise
@@ -236,12 +243,15 @@ class ChunkAgent(Agent):
         seen = policy_observation(
             observation, self.metadata, time=self._now, instruction=self._instruction, session=self._session
         )
-        start = self._actions.start(observation, info)
+        start, episode = self._actions.start(observation, info), self._episode
 
         def compute() -> ChunkPlan:
-            if self._needs_reset:
-                self._begin()
-            chunk = self._policy.infer(seen)
+            with self._turn:
+                if episode != self._episode:
+                    raise WrongOrder("The episode of this question is over.")
+                if self._needs_reset:
+                    self._begin()
+                chunk = self._policy.infer(seen)
             if chunk.actions.shape[1] != self.metadata.size:
                 raise self._v.BadMessage(
                     f"The policy sent actions of {chunk.actions.shape[1]} numbers; it announced {self.metadata.size}."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -40,8 +41,8 @@ class Execution(Record):
     """Delay of an answer in simulated time [s], which stands still while the policy computes. In real time,
     answers take as long as they take."""
     valid_for: NotNegative | None = None
-    """Time to live of an action: how old the observation that it answers may be [s]. Later, the robot holds. None for
-    as long as the chunk has rows."""
+    """Time to live of an action: how old the observation that it answers may be [s]. Later, the robot holds, and no
+    other chunk is mixed with it. None for as long as the chunk has rows."""
     decay: NotNegative = 0.01
     """ACT's m: the weight of the i-th oldest chunk is exp(-m·i). 0 weighs all alike; more trusts the older ones."""
     on_loss: Literal["reconnect", "end"] = "reconnect"
@@ -97,6 +98,7 @@ class Executor:
                 simulated time, where the loop waits and the result counts after `execution.latency`.
         """
         self._execution, self._period = execution, period
+        self._valid_for = math.inf if execution.valid_for is None else execution.valid_for
         self._worker = None if thread is None else Worker(thread, PolicyCall.run)
         self.error: Exception | None = None
         """The error because of which the robot holds."""
@@ -138,8 +140,7 @@ class Executor:
         self._plan = self._plan.simplified(now)
         if self._execution.mode == "open_loop" and now >= self._due - NEAR:
             return None
-        limit = self._execution.valid_for
-        if limit is not None and now - self._plan.begin > limit + NEAR:
+        if now - self._plan.begin > self._valid_for + NEAR:
             return None
         return self._plan.at(now, self._period)
 
@@ -197,9 +198,12 @@ class Executor:
         rows = self._execution.rows or (horizon if mode == "open_loop" else max(1, horizon // 2))
         # An open loop counts the rows that it executes; the other modes call the policy at a rate.
         self._due = min((now if mode == "open_loop" else new.begin) + rows * new.period, new.end)
-        if mode == "ensemble":
-            self._plan = old.joined(new, now) if isinstance(old, Ensemble) else Ensemble([new], self._execution.decay)
-        elif mode == "rtc" and old is not None and old.end > now + NEAR:
-            self._plan = Blend(old, new, now, old.end)
+        until = now if old is None else min(old.end, old.begin + self._valid_for)
+        if mode == "ensemble" and isinstance(old, Ensemble):
+            self._plan = old.joined(new, now)
+        elif mode == "ensemble":
+            self._plan = Ensemble([new], self._execution.decay, self._valid_for)
+        elif mode == "rtc" and old is not None and until > now + NEAR:
+            self._plan = Blend(old, new, now, until)
         else:
             self._plan = new

@@ -208,9 +208,11 @@ def fitted(setup: Setup, metadata: v.Metadata, given: Collection[str] = ()) -> S
     cameras: dict[str, Any] = {}
     if metadata.action:
         cameras["names"] = tuple(image.name for image in metadata.images)
-    sizes = {(image.width, image.height) for image in metadata.images if image.width and image.height}
-    if len(sizes) == 1:
-        cameras["image_size"] = sizes.pop()
+    sizes = {image.name: (image.width, image.height) for image in metadata.images if image.width and image.height}
+    if len(set(sizes.values())) == 1:
+        cameras["image_size"] = next(iter(sizes.values()))
+    elif sizes and "names" in cameras and "cameras" not in given:
+        cameras["image_size"] = sizes
     parts = [part.name for part in metadata.state]
     observed = ["privileged" if PRIVILEGED in name.split("/") else _OBSERVED.get(key_of(name)) for name in parts]
     changes["observe"] = tuple(dict.fromkeys([*setup.observe, *(one for one in observed if one is not None)]))

@@ -265,22 +265,24 @@ class Ensemble(Plan):
     Weights are those of ACT (Zhao et al. 2023, arXiv:2304.13705): exp(-m·i) for the i-th oldest, divided by their sum.
     """
 
-    def __init__(self, plans: Sequence[Plan], decay: float) -> None:
+    def __init__(self, plans: Sequence[Plan], decay: float, valid_for: float = math.inf) -> None:
         """Average plans.
 
         Args:
             plans: From the oldest to the newest, one or more.
             decay: ACT's m.
+            valid_for: Age of its observation beyond which a plan is left out [s].
         """
         self.parts = plans[-1].parts
         self.begin = plans[-1].begin
         self.end = max(plan.end for plan in plans)
-        self._plans, self._decay = list(plans), decay
+        self._plans, self._decay, self._valid_for = list(plans), decay, valid_for
 
     def at(self, time: float, period: float) -> Command | None:
         """Return the mean of their commands for a step."""
-        whole = [plan for plan in self._plans if plan.covers(time, period)]
-        found = [command for plan in whole or self._plans if (command := plan.at(time, period)) is not None]
+        valid = [plan for plan in self._plans if time - plan.begin <= self._valid_for + NEAR * period]
+        whole = [plan for plan in valid if plan.covers(time, period)]
+        found = [command for plan in whole or valid if (command := plan.at(time, period)) is not None]
         if not found:
             return None
         weights = np.exp(-self._decay * np.arange(len(found)))
@@ -291,4 +293,5 @@ class Ensemble(Plan):
 
     def joined(self, plan: Plan, time: float) -> Ensemble:
         """Return the ensemble with one more plan, without those that are over."""
-        return Ensemble([*(each for each in self._plans if each.end > time), plan], self._decay)
+        going_on = (each for each in self._plans if each.end > time and time - each.begin <= self._valid_for)
+        return Ensemble([*going_on, plan], self._decay, self._valid_for)

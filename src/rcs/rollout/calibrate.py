@@ -30,7 +30,7 @@ STILL = 2e-4
 SETTLING = 0.5
 """Time that a real arm rests before a picture counts: it swings a little longer than its joints turn [s]."""
 LONGEST = 30.0
-"""Time limit of a motion [s]."""
+"""Time limit of a motion, beside the time that its way takes at the largest speed [s]."""
 MARGIN = 0.01
 """Least distance of the robot's shapes from all others [m]."""
 STEP, TURN = 0.002, 0.01
@@ -96,8 +96,10 @@ class Tour:
             speed: Largest speed of a joint [rad/s].
 
         Raises:
-            InvalidSetup: It has other actions, or there is no such robot.
+            InvalidSetup: It has other actions, there is no such robot, or the speed is not above 0.
         """
+        if not speed > 0:
+            raise InvalidSetup(f"speed is {speed!r} rad/s; valid is a number above 0.")
         if env.setup.control != "joints" or env.setup.relative != "absolute":
             raise InvalidSetup(
                 f"Calibration drives with absolute joint targets; this environment has control={env.setup.control!r}, "
@@ -161,7 +163,8 @@ class Tour:
         target = self.joints
         stride = self._speed / self._env.frequency if self._env.is_real else np.inf
         off, since = np.inf, None
-        for _ in range(int(LONGEST * self._env.frequency)):
+        limit = LONGEST + (float(np.abs(joints - target).max()) / self._speed if self._env.is_real else 0.0)
+        for _ in range(int(limit * self._env.frequency)):
             way = joints - target
             target = target + way * min(1.0, stride / max(float(np.abs(way).max()), 1e-12))
             before = self.joints
@@ -174,7 +177,7 @@ class Tour:
             elif self._has_new_frames(since):
                 return
         raise WrongOrder(
-            f"Robot {self._robot!r} did not arrive within {LONGEST:g} s: it is {np.rad2deg(off):.1f} degrees off. "
+            f"Robot {self._robot!r} did not arrive within {limit:.3g} s: it is {np.rad2deg(off):.1f} degrees off. "
             "Is something in its way?"
         )
 

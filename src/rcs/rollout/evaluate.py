@@ -149,6 +149,7 @@ def evaluate(
     if not isinstance(evaluation, Evaluation):
         evaluation = Evaluation(setup=evaluation if isinstance(evaluation, Setup) else Setup(evaluation))
     summary = Summary() if summary is None else summary
+    summary.episodes = evaluation.episodes
     try:
         book = None if evaluation.out is None else _logbook(evaluation, summary, env, judge)
     except BaseException:

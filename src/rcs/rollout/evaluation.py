@@ -98,6 +98,8 @@ class Summary:
     """Attempts in the order of their ends, after those that were there before."""
     found: int = 0
     """How many of them were not run, but found in the ledger."""
+    episodes: int | None = None
+    """Number of episodes; attempts with larger numbers repeat them. None where nothing is repeated."""
     is_interrupted: bool = False
     """Set it to end the evaluation after the running episodes."""
     identity: Identity | None = None
@@ -107,8 +109,21 @@ class Summary:
 
     @property
     def results(self) -> list[EpisodeResult]:
-        """The results, in the order of the attempts' numbers."""
-        return [attempt.result for attempt in sorted(self.attempts, key=lambda attempt: attempt.number)]
+        """The results without repetitions, in the order of the attempts' numbers."""
+        ordered = sorted(self.attempts, key=lambda attempt: attempt.number)
+        return [attempt.result for attempt in ordered if self.episodes is None or attempt.number < self.episodes]
+
+    @property
+    def repetitions(self) -> list[Attempt]:
+        """The attempts that repeat an episode."""
+        return [one for one in self.attempts if self.episodes is not None and one.number >= self.episodes]
+
+    @property
+    def changed(self) -> int:
+        """Number of repetitions with another verdict than their episode had the first time."""
+        verdicts = {attempt.number: attempt.result.success for attempt in self.attempts}
+        again = [(one.number % (self.episodes or 1), one.result.success) for one in self.repetitions]
+        return sum(number in verdicts and verdicts[number] is not verdict for number, verdict in again)
 
     @property
     def judged(self) -> int:

@@ -240,12 +240,16 @@ class Logbook(Closing):
         """Return whether the episodes so far decide between this agent and the other one.
 
         Only episodes before the first that still runs count, in the order of their numbers: successes end sooner than
-        failures, so that whatever ended first would favour them.
+        failures, so that whatever ended first would favour them. Those that other processes have written count too.
         """
         if self._evaluation.until is None:
             return False
         ours = {attempt.number: attempt.result.success for attempt in summary.attempts}
-        while not self._is_decided and self._compared in ours and self._compared < self._evaluation.episodes:
+        while not self._is_decided and self._compared < self._evaluation.episodes:
+            if self._compared not in ours:
+                if (row := self.row_of(self._compared)) is None:
+                    break
+                ours[self._compared] = row.success
             seed = self._evaluation.seed_of(self._compared)
             pair = Pairs.of({seed: ours[self._compared]}, {seed: self._theirs.get(seed)})
             self.pairs = self.pairs + pair

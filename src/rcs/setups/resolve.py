@@ -252,14 +252,16 @@ def devices_of(hardware: Any, parts: Parts) -> Devices:
 
 
 def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:
-    """Return the mode of a real camera that frames of a setup are cut out of: the smallest that is large enough."""
+    """Return the mode of a real camera that frames of a setup are cut out of.
+
+    That is the smallest mode that is large enough; where none is, the largest.
+    """
     width, height = setup.cameras.size_of(camera.name)
     rate = camera.camera.frame_rate((width, height), setup.cameras.fps_of(camera.name))
-    large = [
-        mode for mode in camera.camera.modes if mode.width >= width and mode.height >= height and rate in mode.rates
-    ]
-    large = large or [mode for mode in camera.camera.modes if rate in mode.rates]
-    mode = min(large, key=lambda mode: mode.width * mode.height)
+    modes = sorted(
+        (mode for mode in camera.camera.modes if rate in mode.rates), key=lambda mode: mode.width * mode.height
+    )
+    mode = next((mode for mode in modes if mode.width >= width and mode.height >= height), modes[-1])
     return CameraMode(mode.width, mode.height, rate, setup.cameras.depth)
 
 

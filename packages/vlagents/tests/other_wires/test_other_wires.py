@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import pickle
+import re
 import socket
 import threading
 import time
@@ -156,6 +157,19 @@ def test_gr00ts_layout_is_as_upstream_writes_it() -> None:
         assert arm[0, 0].tolist() == [float(IMAGE[3, 4, 1]), 3.0]
         assert "no endpoint" in ask(endpoint="kill")["error"]
         assert ask(endpoint="ping")["status"] == "ok"
+
+
+def test_every_endpoint_of_gr00t_that_the_page_names_is_answered() -> None:
+    page = (Path(__file__).parents[4] / "docs" / "wires.md").read_text()
+    heading, *named = re.findall(r"^\| `(\w+)` \|", page.split("\n## GR00T\n")[1].split("\n## ")[0], re.MULTILINE)
+    assert (heading, named) == ("endpoint", ["ping", "reset", "get_action"])
+    with serve("gr00t") as server, connect(str(server.address), metadata=METADATA) as client:
+        for name in named[:2]:
+            client._call(name, None)
+        with pytest.raises(PolicyFailed, match="image"):
+            client._call("get_action", {"observation": {}})
+        with pytest.raises(PolicyFailed, match="valid: get_action, reset, ping"):
+            client._call("get_modality_config", None)
 
 
 def test_openvlas_layout_is_as_upstream_writes_it() -> None:
