@@ -166,8 +166,8 @@ def prune(path: str | Path) -> int:
 def _refuse_open(root: Path) -> None:
     if still_open := folder_names(root, OPEN_FOLDER):
         raise DatasetError(
-            f"Episodes {still_open} of {root} were left open by a recording; run recover first, or `check --repair` for "
-            "those that it leaves alone."
+            f"Episodes {still_open} of {root} were left open by a recording; run recover first, or `check --repair` "
+            "for those that it leaves alone."
         )
 
 

@@ -171,8 +171,8 @@ class StreamReader:
             raise OSError("the last batch is damaged, as a loss of power leaves it")
         what = f"batch {number}" if number else "the header"
         raise CorruptEpisode(
-            f"{self._path} is damaged: {what} is not what was written; it is left alone. `rcs data check --repair` puts "
-            "it aside."
+            f"{self._path} is damaged: {what} is not what was written; it is left alone. `rcs data check --repair` "
+            "puts it aside."
         )
 
 
