@@ -825,7 +825,7 @@ class HostDesk:
     def show_failure(self, reason: str) -> None:
         """Say why there is no newer measurement."""
 
-HOST_MEMORY: int = 3944
+HOST_MEMORY: int = 4472
 
 class IkStatus(enum.Enum):
     """What inverse kinematics found."""
