@@ -169,16 +169,13 @@ def test_a_hold_that_was_begun_goes_on() -> None:
     assert ends == [False] * 9 + [True]
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_copies_and_single_environments_go_on_from_each_others_states(threads: int) -> None:
-    setup = setup_of("PickCuboid", randomisation=True)
-    batch, single = rcs.make_vec(setup, copies=3, threads=threads), rcs.make(setup)
+def require_exchange(batch: rcs.VecEnv, single: rcs.Env) -> None:
+    """Take the state of a copy to a single environment, and that of the single one to another copy: both go on."""
     batch.reset(seed=7)
     single.reset(seed=70)
     run(batch, drawn(batch, 4))
-    actions = drawn(single, 4)
+    actions = drawn(single, 6)
     run(single, actions)
-    # From a copy to the single one, and from the single one to another copy.
     own, of_copy = single.get_state(), batch.get_state([1])
     batch.set_state(own, [2])
     expected_own = run(single, actions)
@@ -188,6 +185,13 @@ def test_copies_and_single_environments_go_on_from_each_others_states(threads: i
     for step, mine, theirs in zip(run(batch, together), expected_own, expected_copy, strict=True):
         require_same_bits(of(step, 2), of_single(mine))
         require_same_bits(of(step, 1), of_single(theirs))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_copies_and_single_environments_go_on_from_each_others_states(threads: int) -> None:
+    setup = setup_of("PickCuboid", randomisation=True)
+    batch, single = rcs.make_vec(setup, copies=3, threads=threads), rcs.make(setup)
+    require_exchange(batch, single)
 
 
 def test_a_state_of_one_copy_is_set_in_all_and_the_others_stay() -> None:
@@ -262,20 +266,7 @@ def test_copies_and_single_environments_go_on_with_each_others_late_frames(pixel
     ranges = Randomisation.off(frame_latency=(0.0, 0.1), frame_jitter=0.03)
     setup = Setup(task="PickCuboid", cameras=replace(CAMERAS, pixels=pixels), randomisation=ranges)
     batch, single = rcs.make_vec(setup, copies=3), rcs.make(setup)
-    batch.reset(seed=7)
-    single.reset(seed=70)
-    run(batch, drawn(batch, 4))
-    actions = drawn(single, 6)
-    run(single, actions)
-    own, of_copy = single.get_state(), batch.get_state([1])
-    batch.set_state(own, [2])
-    expected_own = run(single, actions)
-    single.set_state(of_copy)
-    expected_copy = run(single, actions)
-    together = [_three(action) for action in actions]
-    for step, mine, theirs in zip(run(batch, together), expected_own, expected_copy, strict=True):
-        require_same_bits(of(step, 2), of_single(mine))
-        require_same_bits(of(step, 1), of_single(theirs))
+    require_exchange(batch, single)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -237,41 +237,36 @@ def test_a_reset_during_a_take_keeps_it_without_a_verdict(tmp_path: Path) -> Non
     assert [one.success for one in Dataset.open(tmp_path / "set").episodes] == [None]
 
 
-def test_a_take_that_the_disk_does_not_keep_is_told_once_and_the_next_reset_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with Session(replace(playable(Setup(task="Free")), stepping="async"), out=tmp_path / "set") as session:
+@pytest.fixture
+def on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Generator[Session]:
+    """A session with a take under way that the disk will not keep."""
+
+    def fail(*_: Any) -> Any:
+        raise DatasetError("no room on the disk")
+
+    setup = replace(playable(Setup(task="PickCuboid")), stepping="async")
+    with Session(setup, out=tmp_path / "set") as session:
         session.obey("start")
         session.step()
-
-        def fail(*_: Any) -> Any:
-            raise DatasetError("no room on the disk")
-
         monkeypatch.setattr(Recorder, "finish", fail)
-        with pytest.raises(DatasetError, match="no room"):
-            session.reset()
-        session.reset()
-        assert session.verdict == "running"
+        yield session
 
 
-def test_no_agent_begins_after_a_take_that_the_disk_does_not_keep(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with Session(replace(playable(Setup(task="PickCuboid")), stepping="async"), out=tmp_path / "set") as session:
-        session.obey("start")
-        session.step()
+def test_a_take_that_the_disk_does_not_keep_is_told_once_and_the_next_reset_goes_on(on_a_full_disk: Session) -> None:
+    with pytest.raises(DatasetError, match="no room"):
+        on_a_full_disk.reset()
+    on_a_full_disk.reset()
+    assert on_a_full_disk.verdict == "running"
 
-        def fail(*_: Any) -> Any:
-            raise DatasetError("no room on the disk")
 
-        monkeypatch.setattr(Recorder, "finish", fail)
-        with pytest.raises(DatasetError, match="no room"):
-            session.let_agent(True)
-        assert session.verdict == "stopped"
-        assert "no room" in session.problem
-        assert not session.advance()
-        session.reset()
-        assert session.advance()
+def test_no_agent_begins_after_a_take_that_the_disk_does_not_keep(on_a_full_disk: Session) -> None:
+    with pytest.raises(DatasetError, match="no room"):
+        on_a_full_disk.let_agent(True)
+    assert on_a_full_disk.verdict == "stopped"
+    assert "no room" in on_a_full_disk.problem
+    assert not on_a_full_disk.advance()
+    on_a_full_disk.reset()
+    assert on_a_full_disk.advance()
 
 
 def test_an_agent_that_cannot_be_closed_does_not_keep_the_robots_from_braking() -> None:
