@@ -275,9 +275,26 @@ def test_what_goes_wrong_is_told_in_words_and_mended_by_recover(virtual, fault, 
         assert arm.fault == ""
 
 
-def recovers(arm: So101Arm) -> bool:
+def test_devices_of_a_mute_bus_do_not_wait_one_after_the_other(virtual):
+    _, gripper = devices(virtual, timeout=0.09)
+    with gripper, gripper.link as servos:
+        virtual.tell("freeze", "2")
+        asked = []
+        for before in (lambda: None, lambda: None, servos.reconnect):
+            before()
+            failures = servos.bus.failures
+            with pytest.raises(DeviceFault, match="none of the servos answers"):
+                servos.read()
+            asked.append(servos.bus.failures - failures)
+        assert asked[0] > 1, "the first is repeated"
+        assert asked[1:] == [0, 1], "the next is known to fail; recover asks once"
+        virtual.tell("clear")
+        wait_until(lambda: recovers(gripper))
+
+
+def recovers(device: So101Arm | So101Gripper) -> bool:
     try:
-        arm.recover()
+        device.recover()
     except DeviceFault:
         return False
     return True

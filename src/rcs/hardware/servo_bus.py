@@ -24,6 +24,9 @@ TIMEOUT = 0.09
 """Time without an answer after which servos count as lost [s]; adapters buffer input for up to 16 ms."""
 PATIENCE = 1 / 3
 """Fraction of the timeout after which the last servo of a request is asked again."""
+MUTE = 0.05
+"""Time for which a bus on which no servo answered is not asked again, so that devices that share it do not wait one
+after the other until the fault is known [s]."""
 LENGTHS = 8
 """Number of different lengths of repeated reads, which identify late answers."""
 
@@ -50,6 +53,7 @@ class ServoBus:
         """True if the port has disappeared; closing and opening the bus connects it again."""
         self.failures = 0
         """Number of repeated requests."""
+        self._mute_until, self._mute_text = 0.0, ""
         self._turn = 0
         self._port: Any = None
         self._claimed = -1
@@ -84,6 +88,10 @@ class ServoBus:
             self._port.closePort()
             os.close(self._claimed)
             self._port = None
+
+    def ask_again(self) -> None:
+        """Ask also a bus on which no servo has just answered."""
+        self._mute_until = 0.0
 
     def read(self, servos: Sequence[int], first: int, count: int) -> dict[int, tuple[int, bytes]]:
         """Return error bits and register values of servos.
@@ -201,6 +209,8 @@ class _Request:
         """Return True if the request should be sent, for the first time or again."""
         self._asked += 1
         if self._asked == 1:
+            if self._begin < self._bus._mute_until:
+                raise DeviceFault(self._bus._mute_text)
             return True
         self._bus.failures += 1
         _log.debug("servo bus %s: no answer from %s to request %d", self._bus.address, self.missing, self._asked - 1)
@@ -211,12 +221,16 @@ class _Request:
         names = self._bus.names
         times = "once" if self._asked == 2 else f"{self._asked - 1} times"
         some = ", ".join(f"{names[servo]} (servo {servo})" for servo in self.missing)
-        who = "none of the servos answers" if len(self.missing) == len(names) else f"no answer from {some}"
-        return DeviceFault(
+        is_mute = len(self.missing) == len(names)
+        who = "none of the servos answers" if is_mute else f"no answer from {some}"
+        text = (
             f"{who} on the servo bus at {self._bus.address}, asked {times} in "
             f"{1e3 * (time.monotonic() - self._begin):.0f} ms; check the power supply and the cable to the first "
             "missing servo"
         )
+        if is_mute:
+            self._bus._mute_until, self._bus._mute_text = time.monotonic() + MUTE, text
+        return DeviceFault(text)
 
 
 def signed(value: int, bit: int) -> int:

@@ -175,6 +175,7 @@ class Servos:
         Raises:
             DeviceFault: The port is not there, or another arm is.
         """
+        self.bus.ask_again()
         if not self.bus.is_gone:
             return
         self.bus.close()
