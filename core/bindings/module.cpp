@@ -8,6 +8,7 @@
 #include "overrides.hpp"
 
 void bind_pose(nb::module_& m);
+void bind_pose_arrays(nb::module_& m);
 void bind_device(nb::module_& m);
 void bind_arm(nb::module_& m);
 void bind_streamed_arm(nb::module_& m);
@@ -73,6 +74,7 @@ NB_MODULE(_core, m) {
   // page of text.
   nb::set_leak_warnings(false);
   bind_pose(m);
+  bind_pose_arrays(m);
   bind_device(m);
   bind_arm(m);
   bind_hand(m);
