@@ -1,7 +1,7 @@
 """Devices whose driver runs in a separate process, the host; starting, finding and stopping hosts.
 
 A host serves the devices at one address. It listens on a Unix socket in a folder that only its user can enter; commands
-and measurements then go through memory that the program and the host share (`core/src/hosted.cpp`).
+and measurements then go through memory that the program and the host share (`core/src/host_memory.hpp`).
 """
 
 from __future__ import annotations
