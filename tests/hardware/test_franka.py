@@ -1,9 +1,7 @@
-"""An FR3 and its hand, through the vendor's interface and `franky-control` as installed, before a virtual robot."""
+"""An FR3, through the vendor's interface and `franky-control` as installed, before a virtual robot."""
 
 from __future__ import annotations
 
-import contextlib
-import os
 import re
 import signal
 import socket
@@ -15,11 +13,10 @@ from collections.abc import Generator
 
 import numpy as np
 import pytest
-from franka_troubles import TROUBLES
 from moving import PERIOD, stream, wait_until, wave
+from virtual_fr3 import ADDRESS, STIFF, TROUBLES, an_arm, virtual_fr3
 
 import rcs
-from rcs.agents import PickExpert
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, MissingDependency
 from rcs.hardware.franka import FrankaArm, FrankaDriver, FrankaOptions
 from rcs.hardware.franka_faults import _WORDS  # pyright: ignore[reportPrivateUsage]
@@ -27,23 +24,18 @@ from rcs.hardware.franka_hand import FrankaHand
 from rcs.kinematics import kinematics_of
 from rcs.robots import FR3, FRANKA_HAND, Compliance
 from rcs.spatial import Pose
-from rcs.testing import ArmContract, GripperContract
+from rcs.testing import ArmContract
 from rcs.virtual import VirtualProcess
 
 pytest.importorskip("franky", reason="needs franky-control, the extra 'franka'")
 pytestmark = pytest.mark.hardware
 
-ADDRESS = "127.0.52.1"
-STIFF = FrankaOptions(collision_force=400.0, collision_torque=(80.0,) * 7)
-"""What the virtual robot touches does not matter."""
 _SILENT: list[int] = []
 
 
 @pytest.fixture(scope="module")
 def robot() -> Generator[VirtualProcess]:
-    with VirtualProcess("fr3", address=ADDRESS) as process:
-        with contextlib.suppress(PermissionError):  # a controller is never late
-            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(40))
+    with virtual_fr3() as process:
         yield process
 
 
@@ -58,17 +50,6 @@ def _mended(robot: VirtualProcess) -> Generator[None]:
 def arm(robot: VirtualProcess) -> Generator[FrankaArm]:
     with an_arm() as arm:
         yield arm
-
-
-def an_arm(options: FrankaOptions = STIFF, *, is_well: bool = True) -> FrankaArm:
-    """An open arm; one that an earlier test left in a reflex is recovered."""
-    arm = FrankaArm(ADDRESS, FR3, options)
-    arm.open()
-    if is_well:
-        time.sleep(0.05)
-        arm.recover()
-        time.sleep(0.05)
-    return arm
 
 
 class TestFrankaArm(ArmContract):  # without the loss of the link: one that was cut does not answer again
@@ -88,19 +69,6 @@ class TestFrankaArm(ArmContract):  # without the loss of the link: one that was 
     def provoke_fault(self, device) -> None:
         self.robot.tell("reflex")
         wait_until(lambda: device.fault)
-
-
-@pytest.mark.slow
-class TestFrankaHand(GripperContract):
-    stopping_time = 0.4
-
-    @pytest.fixture(autouse=True)
-    def _robot(self, robot: VirtualProcess) -> None:
-        self.robot = robot
-        robot.tell("clear")
-
-    def make_device(self) -> FrankaHand:
-        return FrankaHand(ADDRESS, FRANKA_HAND)
 
 
 # --- Connecting
@@ -359,70 +327,3 @@ def test_the_errors_that_have_words_are_those_of_the_library():
     import franky
 
     assert set(_WORDS) <= set(dir(franky.Errors))
-
-
-# --- The hand
-
-
-def test_fingers_close_while_the_arm_moves_and_nobody_waits_for_them(arm: FrankaArm):
-    with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
-        hand.command_opening(1.0)
-        wait_until(hand.has_arrived)
-        began = time.monotonic()
-        hand.command_opening(0.0, 20.0)
-        for _ in range(20):
-            hand.state()
-        assert time.monotonic() - began < 0.2
-        stream(arm, wave(arm, 0.05, 1.0))
-        wait_until(hand.has_arrived)
-        assert hand.state().opening == pytest.approx(0.0, abs=0.02)
-        hand.home()
-        wait_until(lambda: hand.state().opening > 0.95)
-        hand.command_opening(0.0, 20.0)  # the same as before: the fingers are elsewhere now
-        wait_until(lambda: hand.state().opening < 0.1)
-        assert arm.fault == ""
-
-
-def test_a_hand_whose_cable_was_out_is_connected_again_by_recover(robot: VirtualProcess):
-    with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
-        robot.tell("cut")
-        with pytest.raises(DeviceFault, match="hand"):  # noqa: PT012  until its last state is too old
-            for _ in range(500):
-                hand.state()
-                time.sleep(0.01)
-        time.sleep(1.5)
-        with pytest.raises(DeviceFault):
-            hand.recover()
-        robot.tell("clear")
-        hand.recover()
-        for opening in (0.5, 1.0):
-            hand.command_opening(opening)
-            wait_until(hand.has_arrived)
-            assert hand.state().opening == pytest.approx(opening, abs=0.03)
-        assert hand.fault == ""
-
-
-def test_what_picks_a_cuboid_in_simulation_picks_the_virtual_robots_cuboid(robot: VirtualProcess):
-    """Joints and gripper of a simulated pick, sent through an environment to the arm and the hand."""
-    with rcs.make("PickCuboid", robot="fr3", control="xyzrpy", relative=False) as env:
-        expert = PickExpert(env)
-        obs, info = env.reset(seed=5)
-        expert.reset(obs, info)
-        done, actions = False, []
-        while not done:
-            action = expert.act(obs, info)
-            obs, _, done, _, info = env.step(action)
-            actions.append({"joints": obs["joints"], "gripper": action["gripper"]})
-        held = obs["gripper"]
-    robot.tell("reset", 5)
-    an_arm().close()
-    with rcs.make("PickCuboid", robot="fr3", hardware=robot.site, control="joints", relative=False) as env:
-        obs, info = env.reset(seed=5)
-        start = obs["joints"]
-        for way in np.linspace(start, actions[0]["joints"], 60):
-            env.step({"joints": way, "gripper": np.array([1.0], np.float32)})
-        for action in [*actions, *[actions[-1]] * 15]:
-            obs, _, _, is_over, info = env.step(action)
-            assert not is_over, info
-        assert obs["gripper"] == pytest.approx(held, abs=0.02)
-        assert obs["joints"] == pytest.approx(actions[-1]["joints"], abs=0.02)

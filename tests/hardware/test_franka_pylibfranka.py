@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import os
 import re
 import signal
 import subprocess
@@ -15,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from franka_troubles import TROUBLES
 from moving import stream, wait_until, wave
+from virtual_fr3 import TROUBLES, virtual_fr3
 
 import rcs
 from rcs.devices import Arm
@@ -41,9 +40,7 @@ OPTIONS = {"backend": "pylibfranka", "collision_force": 400.0, "collision_torque
 
 @pytest.fixture(scope="module")
 def robot() -> Generator[VirtualProcess]:
-    with VirtualProcess("fr3", address=ADDRESS) as process:
-        with contextlib.suppress(PermissionError):  # a controller is never late
-            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(40))
+    with virtual_fr3(ADDRESS) as process:
         yield process
 
 
