@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,15 +21,7 @@ from rcs.agents import agent_for
 from rcs.envs import Env
 from rcs.errors import InvalidSetup, RcsError
 from rcs.policy import Execution, ServedPolicy, fitted
-
-JOINTS = PartSpec("joints", 7, "rad")
-GRIPPER = PartSpec("gripper", 1, "0 closed, 1 open")
-
-
-@pytest.fixture
-def env() -> Iterator[Env]:
-    with rcs.make("Free", robot="fr3", relative=False) as made:
-        yield made
+from tests.policy.swing import GRIPPER, JOINTS
 
 
 def test_two_robots_with_different_instructions_on_one_server_are_kept_apart() -> None:
