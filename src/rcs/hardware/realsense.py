@@ -245,13 +245,16 @@ class Realsense(Camera):
                 continue
             if not sensors:
                 raise InvalidSetup(f"{self.name} has no control {name!r}.")
-            value = float(given[name]) * (1e6 if name == "exposure" else 1.0)
+            scale = 1.0
+            if name == "exposure":  # counted in µs by a depth sensor, in 100 µs by others: librealsense #8243, #12006
+                scale = 1e6 if sensors[0].is_depth_sensor() else 1e4
+            value = float(given[name]) * scale
             if name == "power_line_frequency":
                 value = {0.0: 0.0, 50.0: 1.0, 60.0: 2.0}.get(value, math.nan)
             reach = sensors[0].get_option_range(ids[name])
             if not reach.min <= value <= reach.max:
-                scale = 1e-6 if name == "exposure" else 1.0
-                valid = f"{reach.min * scale:g} to {reach.max * scale:g}"
+                valid = f"{reach.min / scale:g} to {reach.max / scale:g}"
+                valid = "0 (off), 50 or 60 Hz" if name == "power_line_frequency" else valid
                 raise InvalidSetup(f"{name} of {self.name} is {given[name]!r}; valid is {valid}.")
             sensors[0].set_option(ids[name], value)
             if abs((kept := sensors[0].get_option(ids[name])) - value) > max(reach.step, 1.0):

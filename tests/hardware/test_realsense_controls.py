@@ -1,0 +1,188 @@
+"""Modes, controls and resets of RealSense cameras, over a fake of the vendor's library whose pipeline never starts."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rcs.devices import Camera, CameraMode
+from rcs.errors import DeviceFault, InvalidSetup
+from rcs.hardware.realsense import RESET_AFTER, RealsenseDriver
+from rcs.robots.cameras import REALSENSE_D435
+
+COLOUR = [("color", 640, 480, 30), ("color", 1280, 720, 30), ("color", 1280, 720, 15)]
+DEPTH = [("depth", 640, 480, 30), ("depth", 848, 480, 30), ("depth", 848, 480, 90)]
+COUNTS = {"exposure": (1, 10_000), "enable_auto_exposure": (0, 1), "gain": (0, 128), "power_line_frequency": (0, 2)}
+"""Controls of an RGB module, which counts exposure in 100 µs."""
+MICROSECONDS = {"exposure": (1, 165_000), "enable_auto_exposure": (0, 1), "emitter_enabled": (0, 2)}
+"""Controls of a depth sensor."""
+
+
+class Names:
+    """An enumeration of the library, in which each value is its name."""
+
+    def __getattr__(self, name: str) -> str:
+        return name
+
+
+class Sensor:
+    """A sensor with its streams, and the least and greatest value of each control."""
+
+    def __init__(
+        self, streams: list[tuple[str, int, int, int]], controls: dict[str, tuple[int, int]], *, is_depth: bool
+    ) -> None:
+        self.controls, self.values, self.clips = controls, dict[str, float](), False
+        self.is_depth_sensor = lambda: is_depth
+        self.supports = controls.__contains__
+        self.get_option = self.values.__getitem__
+        self.get_stream_profiles = lambda: [_profile(*stream) for stream in streams]
+
+    def get_option_range(self, option: str) -> Any:
+        return SimpleNamespace(min=self.controls[option][0], max=self.controls[option][1], step=1)
+
+    def set_option(self, option: str, value: float) -> None:
+        self.values[option] = min(value, 20.0) if self.clips else value
+
+
+def _profile(kind: str, width: int, height: int, rate: int) -> Any:
+    video = SimpleNamespace(width=lambda: width, height=lambda: height, fps=lambda: rate)
+    return SimpleNamespace(
+        stream_type=lambda: kind,
+        format=lambda: {"color": "rgb8", "depth": "z16"}[kind],
+        is_video_stream_profile=lambda: True,
+        as_video_stream_profile=lambda: video,
+    )
+
+
+class Library:
+    """The camera that is plugged in, and what was asked of it."""
+
+    option = stream = format = camera_info = Names()
+
+    def __init__(self, *sensors: Sensor) -> None:
+        self.enabled: list[tuple[Any, ...]] = []
+        self.resets = 0
+        about = {"serial_number": "1", "name": "D400", "physical_port": "/sys/devices/usb2/2-1/2-1:1.0/video4linux"}
+        self.device = SimpleNamespace(
+            query_sensors=lambda: sensors, get_info=about.get, hardware_reset=lambda: setattr(self, "resets", 1)
+        )
+
+    def context(self) -> Any:
+        return SimpleNamespace(query_devices=lambda: [self.device])
+
+    def config(self) -> Any:
+        return SimpleNamespace(
+            enable_device=lambda serial: None, enable_stream=lambda *stream: self.enabled.append(stream)
+        )
+
+    def pipeline(self) -> Any:
+        return SimpleNamespace(start=self._start, stop=lambda: None)
+
+    def _start(self, config: Any) -> None:
+        raise RuntimeError("the pipeline does not start")
+
+
+@pytest.fixture
+def rgb() -> Sensor:
+    return Sensor(COLOUR, dict(COUNTS), is_depth=False)
+
+
+@pytest.fixture
+def stereo() -> Sensor:
+    return Sensor(DEPTH, dict(MICROSECONDS), is_depth=True)
+
+
+@pytest.fixture
+def d435(rgb: Sensor, stereo: Sensor, monkeypatch: pytest.MonkeyPatch) -> Library:
+    return plugged_in(monkeypatch, stereo, rgb)
+
+
+def plugged_in(monkeypatch: pytest.MonkeyPatch, *sensors: Sensor) -> Library:
+    library = Library(*sensors)
+    monkeypatch.setattr("rcs.hardware.realsense._library", lambda: library)
+    return library
+
+
+def camera(*mode: Any, **options: Any) -> Camera:
+    return RealsenseDriver().camera("1", REALSENSE_D435, CameraMode(*(mode or (640, 480, 30.0))), options)
+
+
+def set_up(*mode: Any, **options: Any) -> None:
+    """Open a camera, as far as its pipeline."""
+    with pytest.raises(DeviceFault, match="does not start"):
+        camera(*mode, **options).open()
+
+
+def test_exposure_is_told_in_the_unit_of_the_sensor_that_gives_the_colours(
+    d435: Library, rgb: Sensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    set_up(exposure=0.008)
+    assert rgb.values["exposure"] == pytest.approx(80)
+    both = Sensor(COLOUR + DEPTH, dict(MICROSECONDS), is_depth=True)
+    plugged_in(monkeypatch, both)  # as a D405
+    set_up(exposure=0.008)
+    assert both.values["exposure"] == pytest.approx(8000)
+    with pytest.raises(InvalidSetup, match="valid is 1e-06 to 0.165"):
+        camera(exposure=0.2).open()
+
+
+def test_what_a_control_does_not_take_is_refused_with_what_it_does(d435: Library) -> None:
+    for options, words in (
+        ({"exposure": 2}, "exposure of RealSense 1 is 2; valid is 0.0001 to 1"),
+        ({"gain": 129}, "valid is 0 to 128"),
+        ({"power_line_frequency": 55}, "55; valid is 0 .off., 50 or 60 Hz"),
+        ({"white_balance": 4000}, "no control 'white_balance'"),
+    ):
+        with pytest.raises(InvalidSetup, match=words):
+            camera(**options).open()
+
+
+def test_controls_are_set_on_the_colours_and_the_others_left_to_the_camera(
+    d435: Library, rgb: Sensor, stereo: Sensor
+) -> None:
+    set_up(gain=64, power_line_frequency=60, emitter=False)
+    assert rgb.values == {"gain": 64, "power_line_frequency": 2, "enable_auto_exposure": 1}
+    assert stereo.values == {"emitter_enabled": 0}
+    set_up(exposure=0.01)
+    assert rgb.values["enable_auto_exposure"] == 0
+
+
+def test_a_control_that_keeps_another_value_is_a_fault(d435: Library, rgb: Sensor) -> None:
+    rgb.clips = True
+    with pytest.raises(DeviceFault, match="keeps gain at 20 when it is set to 64"):
+        camera(gain=64).open()
+
+
+def test_depth_has_the_size_of_the_colours_or_else_the_largest_at_their_rate(d435: Library) -> None:
+    set_up(640, 480, 30.0, True)
+    set_up(1280, 720, 30.0, True)
+    set_up(1280, 720, 30.0, False)
+    colour = ("color", 1280, 720, "rgb8", 30)
+    assert d435.enabled == [
+        ("color", 640, 480, "rgb8", 30),
+        ("depth", 640, 480, "z16", 30),
+        colour,
+        ("depth", 848, 480, "z16", 30),
+        colour,
+    ]
+
+
+def test_a_mode_that_is_not_offered_is_refused_with_those_that_are(d435: Library) -> None:
+    with pytest.raises(InvalidSetup, match="not offer 640x480 at 60 Hz; it has 640x480 at 30, 1280x720 at 15, 1280x"):
+        camera(640, 480, 60.0).open()
+    with pytest.raises(InvalidSetup, match=r"no depth at 15 Hz; it has \[30, 90\]"):
+        camera(1280, 720, 15.0, True).open()
+
+
+def test_after_failures_in_a_row_the_hardware_is_reset_and_it_is_told(
+    d435: Library, caplog: pytest.LogCaptureFixture
+) -> None:
+    failing = camera()
+    for count in range(RESET_AFTER):
+        assert not d435.resets, f"not after {count} failures"
+        with pytest.raises(DeviceFault, match="does not start"):
+            failing.open()
+    assert d435.resets
+    assert "its hardware is reset: the pipeline does not start" in caplog.text
