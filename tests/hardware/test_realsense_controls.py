@@ -9,7 +9,8 @@ import pytest
 
 from rcs.devices import Camera, CameraMode
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.hardware.realsense import RESET_AFTER, RealsenseDriver
+from rcs.hardware.realsense import RESET_AFTER, RULES, RealsenseDriver
+from rcs.hardware.usb import UsbDevice
 from rcs.robots.cameras import REALSENSE_D435
 
 COLOUR = [("color", 640, 480, 30), ("color", 1280, 720, 30), ("color", 1280, 720, 15)]
@@ -186,3 +187,19 @@ def test_after_failures_in_a_row_the_hardware_is_reset_and_it_is_told(
             failing.open()
     assert d435.resets
     assert "its hardware is reset: the pipeline does not start" in caplog.text
+
+
+def test_a_camera_that_may_not_be_used_or_is_in_use_is_told_with_what_helps(
+    d435: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = UsbDevice(path="2-1", product="RealSense", nodes=("video-of-a-camera", "hidraw-of-a-camera"))
+    monkeypatch.setattr("rcs.hardware.realsense.usb_devices", lambda: [place, UsbDevice(path="2-2", nodes=("video9",))])
+    shut = f"you may not use /dev/video-of-a-camera: copy {RULES} to /etc/udev/rules.d"
+    with pytest.raises(DeviceFault, match=f"the pipeline does not start; {shut}"):
+        camera().open()
+    with pytest.raises(InvalidSetup, match=f"'2'. Plugged in: D400 .1.; {shut}"):
+        RealsenseDriver().camera("2", REALSENSE_D435, CameraMode(640, 480, 30.0), {}).open()
+    monkeypatch.setattr("rcs.hardware.realsense.os.access", lambda file, mode: True)
+    monkeypatch.setattr("rcs.hardware.realsense.holders", lambda file: [f"viewer with {file}"])
+    with pytest.raises(DeviceFault, match="the pipeline does not start; it is held by viewer with /dev/video-of-a-"):
+        camera().open()

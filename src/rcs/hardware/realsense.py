@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NoReturn
 
 import numpy as np
@@ -16,7 +17,8 @@ from rcs.errors import DeviceFault, InvalidSetup, require_fields
 from rcs.extras import package_of
 from rcs.hardware.device_clock import DeviceClock
 from rcs.hardware.driver import Driver
-from rcs.hardware.usb import Plug, usb_devices
+from rcs.hardware.usb import Plug, UsbDevice, usb_devices
+from rcs.hardware.v4l2 import holders
 from rcs.hardware.video_camera import LONGEST_WARM_UP, seconds
 from rcs.robots.camera import CameraDescription
 
@@ -33,6 +35,8 @@ RESET_AFTER = 4
 """Number of failures in a row after which the camera's hardware is reset."""
 RAW_BITS = 16
 """Bits per pixel of colours (YUYV) and of depth on the bus."""
+RULES = "https://github.com/realsenseai/librealsense/blob/master/config/99-realsense-libusb.rules"
+"""The vendor's rules, by which udev lets everybody use the cameras."""
 
 
 class RealsenseDriver(Driver):
@@ -83,10 +87,9 @@ class Realsense(Camera):
         if self._is_recording:
             return None
         rs = _library()
-        port = self._find(rs).get_info(rs.camera_info.physical_port)
+        place = _place(rs, self._find(rs))
         streams = 2 if self.mode.has_depth else 1
         needs = streams * RAW_BITS * self.mode.width * self.mode.height * self.mode.fps / 1e6
-        place = next((one for one in usb_devices() if f"/{one.path}/" in f"{port}/"), None)
         return None if place is None else Plug(device=place, needs=needs)
 
     def _open(self) -> None:
@@ -96,7 +99,8 @@ class Realsense(Camera):
         except InvalidSetup:
             raise
         except RuntimeError as err:  # the library's own errors
-            self._fail(err)
+            place = None if self._device is None else _place(_library(), self._device)
+            self._fail(err, "" if place is None else _forbidden([place]) or _held(place))
 
     def _recover(self) -> None:
         self._stop()
@@ -166,14 +170,14 @@ class Realsense(Camera):
             except RuntimeError as err:  # it had not started
                 _log.debug("%s: %s", self.name, err)
 
-    def _fail(self, err: Exception) -> NoReturn:
+    def _fail(self, err: Exception, remedy: str = "") -> NoReturn:
         """Raise an error of the library as a fault; after several in a row, reset the camera's hardware before."""
         self._failures += 1
         if self._failures >= RESET_AFTER and self._device is not None:
             self._failures = 0
             _log.warning("%s has failed %d times in a row; its hardware is reset: %s", self.name, RESET_AFTER, err)
             self._device.hardware_reset()
-        raise DeviceFault(str(err)) from err
+        raise DeviceFault(f"{err}{remedy}") from err
 
     def _frames(self, rs: Any) -> Any:
         """Return the newest set of pictures: all of them there, and of one moment."""
@@ -207,7 +211,10 @@ class Realsense(Camera):
             if device.get_info(serial) == self._address:
                 return device
         there = ", ".join(f"{one.get_info(rs.camera_info.name)} ({one.get_info(serial)})" for one in devices)
-        raise InvalidSetup(f"No RealSense has the serial number {self._address!r}. Plugged in: {there or 'none'}.")
+        shut = _forbidden(one for one in usb_devices() if "RealSense" in one.product)  # the library passes over those
+        raise InvalidSetup(
+            f"No RealSense has the serial number {self._address!r}. Plugged in: {there or 'none'}{shut}."
+        )
 
     def _choose(self, rs: Any, config: Any) -> None:
         """Choose the streams of the mode; depth has its size, or else the largest that there is at this rate."""
@@ -263,6 +270,29 @@ class Realsense(Camera):
 
 def _library() -> Any:
     return package_of("realsense", "pyrealsense2", "A RealSense needs")
+
+
+def _place(rs: Any, device: Any) -> UsbDevice | None:
+    """Return where a camera is plugged in."""
+    port = device.get_info(rs.camera_info.physical_port)
+    return next((one for one in usb_devices() if f"/{one.path}/" in f"{port}/"), None)
+
+
+def _forbidden(places: Iterable[UsbDevice]) -> str:
+    """Return the files of cameras that this user may not use, and what helps; empty if there are none."""
+    files = [file for one in places for file in _files(one) if not os.access(file, os.R_OK | os.W_OK)]
+    hint = f"copy {RULES} to /etc/udev/rules.d and plug the camera in again"
+    return f"; you may not use {', '.join(files)}: {hint}" if files else ""
+
+
+def _held(place: UsbDevice) -> str:
+    """Return the other programs that have a camera open; empty if there are none."""
+    who = sorted({one for file in _files(place) for one in holders(file)})
+    return f"; it is held by {', '.join(who)}" if who else ""
+
+
+def _files(place: UsbDevice) -> list[str]:
+    return [f"/dev/{node}" for node in place.nodes if node.startswith("video")]
 
 
 def _modes(rs: Any, sensor: Any) -> list[tuple[Any, int, int, int]]:
