@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import time
@@ -78,9 +79,9 @@ class V4l2Pictures:
         path = f"/dev/{next(node for node in device.nodes if node.startswith('video'))}"
         self._prepare(path)
         os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")  # [s]; OpenCV waits ten otherwise
-        mode = self._mode
+        mode, form = self._mode, cv2.VideoWriter.fourcc(*self._format)
         capture = cv2.VideoCapture(path, cv2.CAP_V4L2)
-        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*self._format))
+        capture.set(cv2.CAP_PROP_FOURCC, form)
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, mode.width)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, mode.height)
         capture.set(cv2.CAP_PROP_FPS, mode.fps)
@@ -93,6 +94,12 @@ class V4l2Pictures:
             int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
             capture.get(cv2.CAP_PROP_FPS),
         )
+        if capture.isOpened() and (gives := int(capture.get(cv2.CAP_PROP_FOURCC))) != form:
+            capture.release()
+            raise InvalidSetup(
+                f"{device} does not offer {mode.width} x {mode.height} at {mode.fps:g} Hz as {self._format}; it gives "
+                f"{gives.to_bytes(4, 'little').decode('latin-1')}. Use a {self._what} that has {self._format}."
+            )
         if not capture.isOpened() or has[:2] != wants[:2] or abs(has[2] - wants[2]) > 0.5:
             capture.release()
             held = ", ".join(v4l2.holders(path))
@@ -148,9 +155,12 @@ class V4l2Pictures:
         try:
             file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
         except OSError as err:
-            who = ", ".join(v4l2.holders(path))
-            held = f"it is held by {who}" if who else "add yourself to its group: sudo usermod -aG video $USER"
-            raise DeviceFault(f"{path} cannot be opened: {err.strerror}; {held}") from err
+            remedy = "check its cable"
+            if isinstance(err, PermissionError):
+                remedy = "add yourself to its group: sudo usermod -aG video $USER"
+            elif err.errno == errno.EBUSY:
+                remedy = f"it is held by {', '.join(v4l2.holders(path)) or 'a program of another user'}"
+            raise DeviceFault(f"{path} cannot be opened: {err.strerror}; {remedy}") from err
         try:
             mode, offered = self._mode, v4l2.modes(file, self._format)
             fits = [rates for width, height, rates in offered if (width, height) == (mode.width, mode.height)]
