@@ -1,4 +1,4 @@
-"""Times of pictures from a network are right, whatever the camera's clock does between two connections."""
+"""Times of pictures from a network are right, whatever the camera's clock does, and a refusal is told as what it is."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import socket
 import threading
 import time
 
+import pytest
+
 from rcs.devices import CameraMode
+from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.pictures import READ_LIMIT, HttpPictures, Picture
 
 HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=x\r\n\r\n"
@@ -44,3 +47,27 @@ def test_a_clock_that_begins_anew_after_its_last_time_is_noticed() -> None:
         clock = pictures.clock
         first_picture(pictures, server, 5.1 + time.monotonic() - again.time)
         assert pictures.clock is clock, "one that goes on keeps its fit"
+
+
+@pytest.mark.parametrize(
+    ("status", "kind"), [("400 Bad Request", InvalidSetup), ("404 Not Found", InvalidSetup), ("503 Busy", DeviceFault)]
+)
+def test_a_mode_or_camera_that_is_not_there_is_invalid_and_another_refusal_a_fault(
+    status: str, kind: type[Exception]
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer() -> None:
+            connection, _ = server.accept()
+            with connection:
+                connection.recv(4096)
+                connection.sendall(f"HTTP/1.0 {status}\r\nX-Reason: it has 640x480 at 30\r\n\r\n".encode())
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        mode = CameraMode(320, 240, 30.0, False)
+        pictures = HttpPictures(f"http://127.0.0.1:{server.getsockname()[1]}/", mode)
+        with pytest.raises(kind, match=f"{status}.*it has 640x480 at 30"):
+            pictures.open()
+        pictures.close()
+        thread.join()

@@ -185,7 +185,7 @@ def test_another_camera_at_the_same_place_is_refused(running: Running) -> None:
 
 
 def test_what_is_not_offered_is_refused_with_what_is(running: Running) -> None:
-    with pytest.raises(DeviceFault, match="640x480 at"), webcam(running, mode=CameraMode(123, 45, 30.0, False)):
+    with pytest.raises(InvalidSetup, match="640x480 at"), webcam(running, mode=CameraMode(123, 45, 30.0, False)):
         pass
     with pytest.raises(InvalidSetup, match="no depth"):
         webcam(running, mode=CameraMode(640, 480, 30.0, True))

@@ -108,7 +108,8 @@ class HttpPictures:
         """Connect, and ask for the stream.
 
         Raises:
-            DeviceFault: No camera answers, it refuses, or it is another one than before.
+            InvalidSetup: The camera does not offer the mode, or there is none at that path.
+            DeviceFault: No camera answers, it refuses for another reason, or it is another one than before.
         """
         self.close()
         try:
@@ -120,7 +121,8 @@ class HttpPictures:
         self._is_first = True
         status, fields = self._head(time.monotonic() + READ_LIMIT)
         if " 200" not in status:
-            raise DeviceFault(f"{self._url} answers {status!r}: {fields.get('x-reason', 'ask for a mode that it has')}")
+            kind = InvalidSetup if {"400", "404"} & set(status.split()) else DeviceFault
+            raise kind(f"{self._url} answers {status!r}: {fields.get('x-reason', 'ask for a mode that it has')}")
         if not fields.get("content-type", "").startswith("multipart/"):
             raise DeviceFault(f"{self._url} gives {fields.get('content-type')!r}, not a stream of JPEGs")
         found = fields.get(SERIAL, "")

@@ -18,7 +18,7 @@ from rcs.devices import CameraMode, Frame
 from rcs.devices.fakes import FakeCamera
 from rcs.envs.observers.record import record
 from rcs.envs.ports.camera import cropped, intrinsics_of
-from rcs.errors import DeviceFault, InvalidSetup
+from rcs.errors import DeviceFault, InvalidSetup, MissingDependency
 from rcs.hardware import Site
 from rcs.robots.cameras import REALSENSE_D435
 from rcs.setups.lab import lab_of
@@ -262,9 +262,23 @@ def test_why_a_camera_cannot_be_opened_is_what_reset_raises(camera: FakeCamera) 
             raise OSError("no such camera")
 
     env = make(Unplugged(camera.mode, name="side"))
-    with pytest.raises(DeviceFault, match="open failed: OSError: no such camera"):
+    with pytest.raises(DeviceFault, match="'side' cannot be opened: .*open failed: OSError: no such camera"):
         env.reset(seed=0)
     assert no_arm_is_open(env)
+    env.close()
+
+
+@pytest.mark.parametrize("kind", [InvalidSetup, MissingDependency])
+def test_a_mode_or_control_that_a_camera_lacks_is_no_fault(camera: FakeCamera, kind: type[Exception]) -> None:
+    class Lacking(FakeCamera):
+        def _open(self) -> None:
+            raise kind("it has 640x480 at 30")
+
+    env = make(Lacking(camera.mode, name="side"))
+    for _ in range(2):
+        with pytest.raises(kind, match="it has 640x480 at 30"):
+            env.reset(seed=0)
+        assert no_arm_is_open(env)
     env.close()
 
 

@@ -83,8 +83,9 @@ class CameraPort(Port):
 
         Raises:
             DeviceFault: A camera gives no frame.
-            InvalidSetup: A camera has a calibration that is not valid, two cameras are one device, or they need more
-                than their bus carries.
+            InvalidSetup: A camera has a calibration that is not valid, two cameras are one device, they need more than
+                their bus carries, or one does not offer its mode or a control.
+            MissingDependency: A driver needs a package that is not installed.
         """
         require_plugs(self._cameras)
         try:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rcs.devices import Camera, Frame
-from rcs.errors import DeviceFault
+from rcs.errors import DeviceFault, InvalidSetup, MissingDependency
 
 _log = logging.getLogger(__name__)
 
@@ -79,10 +79,16 @@ class CameraFeedThread:
             until: When to give up [s, monotonic].
 
         Raises:
-            DeviceFault: There is none.
+            InvalidSetup: The camera is not there, or does not offer its mode or a control.
+            MissingDependency: Its driver needs a package that is not installed.
+            DeviceFault: There is none for another reason.
         """
         if self._has_begun.wait(max(until - time.monotonic(), 0.0)) and self._error is None:
             return
+        if isinstance(self._error, InvalidSetup | MissingDependency):
+            raise self._error
+        if self._error is not None:
+            raise DeviceFault(f"Camera {self.name!r} cannot be opened: {self._error}") from self._error
         why = self.failure or self.busy()
         raise DeviceFault(
             f"Camera {self.name!r} has given no frame within {FIRST_FRAME:g} s{f': {why}' if why else ''}."
