@@ -15,11 +15,12 @@ from rcs_data.files.flags import FrameFlag
 
 import rcs
 from rcs.devices import CameraMode, Frame
-from rcs.devices.fakes import FakeCamera
+from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper
 from rcs.envs.observers.record import record
 from rcs.envs.ports.camera import cropped, intrinsics_of
 from rcs.errors import DeviceFault, InvalidSetup, MissingDependency
 from rcs.hardware import Site
+from rcs.hardware.usb import Plug, UsbDevice
 from rcs.robots.cameras import REALSENSE_D435
 from rcs.setups.lab import lab_of
 
@@ -266,6 +267,27 @@ def test_why_a_camera_cannot_be_opened_is_what_reset_raises(camera: FakeCamera) 
         env.reset(seed=0)
     assert no_arm_is_open(env)
     env.close()
+
+
+def test_two_cameras_that_are_one_device_are_refused_before_any_device_is_opened(
+    camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Plugged(FakeCamera):
+        def plug(self) -> Plug:
+            return Plug(device=UsbDevice(path="1-2", serial="A1", speed=480), needs=1)
+
+    opened: list[str] = []
+    for kind in (FakeArm, FakeGripper, FakeCamera):
+        monkeypatch.setattr(kind, "_open", lambda self: opened.append(self.name))
+    cameras = {"wrist": Plugged(CameraMode(848, 480, 30.0, False)), "side": Plugged(camera.mode)}
+    asked = rcs.Cameras(names=tuple(cameras), image_size={"wrist": (424, 240), "side": SIZE})
+    site = Site(arms={"fr3": "fake"}, grippers={"fr3": "fake"}, cameras=cameras)
+    with (
+        rcs.make("Free", cameras=asked, hardware=site) as env,
+        pytest.raises(InvalidSetup, match="'wrist' and 'side' are both a device .A1."),
+    ):
+        env.reset(seed=0)
+    assert opened == []
 
 
 @pytest.mark.parametrize("kind", [InvalidSetup, MissingDependency])

@@ -78,16 +78,22 @@ class CameraPort(Port):
         self._seen: dict[str, tuple[dict[str, Any], float, float]] = {}
         self._learn()
 
+    def check(self) -> None:
+        """Check that all cameras are plugged in, are different devices and fit on their buses.
+
+        Raises:
+            InvalidSetup: They are not, or do not.
+        """
+        require_plugs(self._cameras)
+
     def open(self) -> None:
         """Connect all cameras at once and wait for a frame of each.
 
         Raises:
             DeviceFault: A camera gives no frame.
-            InvalidSetup: A camera has a calibration that is not valid, two cameras are one device, they need more than
-                their bus carries, or one does not offer its mode or a control.
+            InvalidSetup: A camera has a calibration that is not valid, or does not offer its mode or a control.
             MissingDependency: A driver needs a package that is not installed.
         """
-        require_plugs(self._cameras)
         try:
             for feed in self._feeds.values():
                 feed.start()

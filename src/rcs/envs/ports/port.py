@@ -88,6 +88,13 @@ class Port(ABC):
         """Return how old what is observed is in simulated time [s], by key, where it is late on purpose."""
         return {}
 
+    def check(self) -> None:  # noqa: B027  most find out when they connect
+        """Check, before any port is opened, what can be known of the device without connecting.
+
+        Raises:
+            InvalidSetup: It cannot be opened in this way.
+        """
+
     def open(self) -> None:
         """Connect the device; it does not move."""
         if self.device is not None:

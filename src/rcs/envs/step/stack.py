@@ -283,6 +283,8 @@ class Stack:
         """Connect all devices; where one fails, none stays open."""
         try:
             for port in self.ports:
+                port.check()
+            for port in self.ports:
                 port.open()
         except BaseException as err:
             try:
