@@ -11,6 +11,7 @@ import rcs
 from rcs.devices import lookup
 from rcs.envs.task import Area
 from rcs.errors import InvalidSetup, UnknownName
+from rcs.robots.camera import CameraMount
 from rcs.robots.fr3 import FR3
 from rcs.robots.mount import Mount, Obstacle
 from rcs.setups.ids import ids
@@ -53,6 +54,13 @@ def test_a_bare_flange_can_be_asked_for() -> None:
 def test_a_camera_on_a_gripper_that_is_not_there_is_refused() -> None:
     with pytest.raises(InvalidSetup, match="which has none"):
         rcs.make("Free", robot="fr3", end_effector="none", cameras=("wrist",))
+
+
+def test_a_camera_on_the_gripper_of_a_robot_that_is_not_there_is_refused_with_those_that_are() -> None:
+    mount = CameraMount(camera="realsense_d405", optical=Mount(), on_gripper_of="fr3")
+    cameras = rcs.Cameras(names=("hand",), mounts={"hand": mount})
+    with pytest.raises(UnknownName, match="named 'fr3'. Known: left, right. Camera 'hand'"):
+        rcs.make("Free", robot="dual_fr3", cameras=cameras)
 
 
 def test_looking_points_the_optical_axis_at_the_target_with_the_picture_upright() -> None:

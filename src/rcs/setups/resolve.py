@@ -157,7 +157,10 @@ def _mount(name: str, setup: Setup, lab: Lab, robots: tuple[RobotPlacement, ...]
     mount = lab.cameras[name]
     parent = "world"
     if mount.on_gripper_of is not None:
-        robot = next(robot for robot in robots if robot.name == mount.on_gripper_of)
+        by_name = {robot.name: robot for robot in robots}
+        if (robot := by_name.get(mount.on_gripper_of)) is None:
+            hint = f"Camera {name!r} is mounted on its gripper."
+            raise UnknownName("robot of this setup", mount.on_gripper_of, by_name, hint=hint)
         if robot.end_effector is None:
             raise InvalidSetup(f"Camera {name!r} is mounted on the gripper of {robot.name!r}, which has none.")
         if robot.end_effector.name != lab.end_effector:
