@@ -5,10 +5,12 @@
 The experiment of the paper's figure on frequencies: cameras of 1280 x 720 px at 30 frames/s, DIGITs of 320 x 240 px at
 60, one or two arms with hands, everything recorded, a scripted operator that moves a joint to and fro. A virtual robot
 draws its cameras on the same machine, so run this on one with enough processors; `processors` says how many there were.
+`--tactile 2` puts two DIGITs on each arm; `tactile` says how many are read.
 
 Prints one line of JSON per rate: `rate_hz` and `std_hz` (mean and standard deviation of 1 / period), `period_p50_ms`,
 `period_p99_ms` (of the deviation from the wanted period), `silent_drops` (steps that are neither in the recording nor
-counted as dropped), `dropped_images`, and the age of frames at the end of steps. `--figure FILE.svg` draws the figure.
+counted as dropped), `dropped_images`, the age of frames at the end of steps, and `age_error_p99_ms`, by how much it is
+off the moment at which the virtual world was drawn. `--figure FILE.svg` draws the figure.
 """
 
 from __future__ import annotations
@@ -23,24 +25,30 @@ from typing import Any
 
 import numpy as np
 import tyro
-from rcs_data import Dataset
+from numpy.typing import NDArray
+from rcs_data import Dataset, EpisodeRecord
 
 import rcs
 from rcs.hardware import Site
 from rcs.robots.camera import CameraMount, looking
+from rcs.setups.lab import lab_of
 from rcs.virtual import VirtualProcess
+from rcs.virtual.sensors import DRIFT, device_time
 
 SIZE, FPS = (1280, 720), 30
 WRIST = looking((0.070, 0.0, 0.045), (0.0, 0.0, 0.17), up=(1.0, 0.0, 0.0))
 MORE = {
     "hand": CameraMount(camera="realsense_d405", optical=WRIST, on_gripper_of="fr3"),
-    "left": CameraMount(camera="realsense_d435", optical=looking((0.5, 0.9, 0.5), (0.5, 0.0, 0.05))),
+    "beside": CameraMount(camera="realsense_d435", optical=looking((0.5, 0.9, 0.5), (0.5, 0.0, 0.05))),
     "front": CameraMount(camera="realsense_d435", optical=looking((1.3, 0.0, 0.6), (0.45, 0.0, 0.05))),
     "above": CameraMount(camera="realsense_d435", optical=looking((0.9, 0.0, 1.1), (0.45, 0.0, 0.0))),
 }
-"""Cameras in addition to those of the labs; the first is for one arm."""
-LABS = {1: ("fr3", ()), 2: ("dual_fr3", ("front", "left_wrist", "right_wrist"))}
-"""Robots, and cameras of their labs that have this size."""
+"""Cameras that the labs do not have; those of one FR3 are calibrated in another shape."""
+LABS = {
+    1: ("fr3", ("hand", "beside", "front", "above")),
+    2: ("dual_fr3", ("front", "left_wrist", "right_wrist", "above")),
+}
+"""Robots and their cameras, by number of arms."""
 STROKE = 0.2
 """Largest speed of the joint that moves [rad/s]."""
 
@@ -54,7 +62,7 @@ class Options:
     cameras: int = 2
     """Number of cameras, up to four."""
     tactile: int = 0
-    """Number of DIGITs: 0, or 2 on the first arm."""
+    """Number of DIGITs on each arm: 0 or 2."""
     rates: tuple[float, ...] = (10.0, 30.0, 60.0, 90.0, 120.0, 150.0, 200.0)
     """Control rates [Hz]."""
     steps: int = 1000
@@ -67,10 +75,10 @@ class Options:
 
 def main(options: Options) -> None:
     """Measure and print."""
-    robot, own = LABS[options.arms]
-    names = (*own, *(name for name in MORE if name not in own))[: options.cameras]
+    robot, names = LABS[options.arms][0], LABS[options.arms][1][: options.cameras]
+    own = lab_of(robot).cameras
     mounts = {name: MORE[name] for name in names if name not in own}
-    cameras = rcs.Cameras(names=tuple(names), mounts=mounts, image_size=SIZE, fps=FPS)
+    cameras = rcs.Cameras(names=names, mounts=mounts, image_size=SIZE, fps=FPS)
     tactile = "digit" if options.tactile else None
     setup = rcs.Setup(task="Free", robot=robot, cameras=cameras, tactile=tactile, max_episode_steps=None)
     found: list[dict[str, Any]] = []
@@ -81,7 +89,7 @@ def main(options: Options) -> None:
         with VirtualProcess(robot, **served) as virtual:
             for rate in options.rates:
                 measured = measure(setup, virtual.site, rate, options.steps, Path(folder) / f"{rate:g}")
-                about = {"arms": options.arms, "cameras": options.cameras, "tactile": options.tactile}
+                about = {"arms": options.arms, "cameras": len(names), "tactile": len(virtual.site.tactile)}
                 found.append({"benchmark": "frequency", **about, **measured, "processors": os.cpu_count()})
                 print(json.dumps(found[-1]), flush=True)
     if options.figure is not None:
@@ -90,13 +98,7 @@ def main(options: Options) -> None:
 
 def measure(setup: rcs.Setup, site: Site, rate: float, steps: int, out: Path) -> dict[str, Any]:
     """Control and record at one rate."""
-    loose = Site(
-        arms=site.arms,
-        grippers=site.grippers,
-        cameras=site.cameras,
-        tactile=dict(list(site.tactile.items())[:2]),
-        on_stale="flag",
-    )
+    loose = replace(site, on_stale="flag")
     with rcs.make(replace(setup, frequency=rate), hardware=loose) as env, rcs.record(env, out) as takes:
         takes.start(at_reset=True)
         env.reset()
@@ -113,6 +115,7 @@ def measure(setup: rcs.Setup, site: Site, rate: float, steps: int, out: Path) ->
     writer = episode.timing.get("writer") or {}
     dropped = int(writer.get("dropped_rows", 0))
     late = np.abs(periods - 1.0 / rate)
+    errors = [age_errors(episode, name) for name in (*site.cameras, *site.tactile)]
     return {
         "wanted_hz": rate,
         "rate_hz": float((1.0 / periods).mean()),
@@ -124,7 +127,14 @@ def measure(setup: rcs.Setup, site: Site, rate: float, steps: int, out: Path) ->
         "dropped_images": int(writer.get("dropped_images", 0)),
         "age_p50_ms": 1e3 * float(np.percentile(ages, 50)) if ages else None,
         "age_p99_ms": 1e3 * float(np.percentile(ages, 99)) if ages else None,
+        "age_error_p99_ms": 1e3 * float(np.percentile(np.concatenate(errors), 99)) if errors else None,
     }
+
+
+def age_errors(episode: EpisodeRecord, name: str) -> NDArray[np.float64]:
+    """Return by how much each time of a virtual sensor's frames is off the moment that they show [s]."""
+    seen, at = episode.column(f"time/frames/{name}"), episode.column(f"time/device/frames/{name}")
+    return np.abs(seen - (at - device_time(name, 0.0)) / (1.0 - DRIFT))
 
 
 def operated(env: Any, moment: float, rate: float) -> dict[str, Any]:
