@@ -125,7 +125,7 @@ def test_exposure_is_told_in_the_unit_of_the_sensor_that_gives_the_colours(
     plugged_in(monkeypatch, both)  # as a D405
     set_up(exposure=0.008)
     assert both.values["exposure"] == pytest.approx(8000)
-    with pytest.raises(InvalidSetup, match="valid is 1e-06 to 0.165"):
+    with pytest.raises(InvalidSetup, match=r"valid is 1e-06 to 0\.165"):
         camera(exposure=0.2).open()
 
 

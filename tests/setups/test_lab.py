@@ -59,7 +59,7 @@ def test_a_camera_on_a_gripper_that_is_not_there_is_refused() -> None:
 def test_a_camera_on_the_gripper_of_a_robot_that_is_not_there_is_refused_with_those_that_are() -> None:
     mount = CameraMount(camera="realsense_d405", optical=Mount(), on_gripper_of="fr3")
     cameras = rcs.Cameras(names=("hand",), mounts={"hand": mount})
-    with pytest.raises(UnknownName, match="named 'fr3'. Known: left, right. Camera 'hand'"):
+    with pytest.raises(UnknownName, match=r"named 'fr3'\. Known: left, right\. Camera 'hand'"):
         rcs.make("Free", robot="dual_fr3", cameras=cameras)
 
 

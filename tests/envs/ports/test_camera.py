@@ -263,7 +263,7 @@ def test_why_a_camera_cannot_be_opened_is_what_reset_raises(camera: FakeCamera) 
             raise OSError("no such camera")
 
     env = make(Unplugged(camera.mode, name="side"))
-    with pytest.raises(DeviceFault, match="'side' cannot be opened: .*open failed: OSError: no such camera"):
+    with pytest.raises(DeviceFault, match=r"'side' cannot be opened: .*open failed: OSError: no such camera"):
         env.reset(seed=0)
     assert no_arm_is_open(env)
     env.close()
@@ -284,7 +284,7 @@ def test_two_cameras_that_are_one_device_are_refused_before_any_device_is_opened
     site = Site(arms={"fr3": "fake"}, grippers={"fr3": "fake"}, cameras=cameras)
     with (
         rcs.make("Free", cameras=asked, hardware=site) as env,
-        pytest.raises(InvalidSetup, match="'wrist' and 'side' are both a device .A1."),
+        pytest.raises(InvalidSetup, match=r"'wrist' and 'side' are both a device \(A1\)"),
     ):
         env.reset(seed=0)
     assert opened == []
