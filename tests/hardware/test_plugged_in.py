@@ -5,33 +5,46 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 from rcs.hardware import Site
 from rcs.hardware.plugged_in import site_lines
 from rcs.hardware.usb import UsbDevice
 
 
-def test_each_device_is_a_line_of_a_site() -> None:
+def test_each_device_is_a_line_of_a_site_without_a_number_that_changes(tmp_path: Path) -> None:
+    (tmp_path / "by-path").mkdir()
+    (tmp_path / "by-path/usb-2.2").symlink_to("../../ttyACM0")
+    (tmp_path / "by-id").mkdir()
+    (tmp_path / "by-id/usb-nobody").symlink_to("../../ttyACM0")
+    (tmp_path / "by-id/usb-FT1").symlink_to("../../ttyUSB1")
     devices = [
         UsbDevice(path="1-2", serial="A1", product="Webcam", bus=1, speed=480, nodes=("video0", "video1")),
         UsbDevice(path="1-3", product="Cheap webcam", bus=1, speed=480, nodes=("video2",)),
         UsbDevice(path="2-1", serial="D20001", product="DIGIT", bus=2, speed=480, nodes=("video3",)),
         UsbDevice(path="2-2", product="USB2.0-Serial", vendor_id="1a86", nodes=("ttyACM0",)),
         UsbDevice(path="2-3", product="Keyboard"),
+        UsbDevice(path="2-4", serial="FT1", product="USB Serial", vendor_id="0403", nodes=("ttyUSB1",)),
+        UsbDevice(path="2-5", product="USB Serial", vendor_id="1a86", nodes=("ttyUSB0",)),
         UsbDevice(path="4-1", product="Intel(R) RealSense(TM) 435", vendor_id="8086", speed=5000, nodes=("video4",)),
     ]
-    lines = site_lines(devices)
-    assert len(lines) == 5, "a keyboard is no device of a site"
-    site = {}
+    lines = site_lines(devices, tmp_path)
+    assert len(lines) == 7, "a keyboard is no device of a site"
+    entries: list[tuple[str, dict[str, str]]] = []
     for line in lines:
         entry, _, what = line.partition("    ")
         assert what
-        site.update(json.loads(f"{{{entry}}}"))
-    assert site["tactile"]["NAME"] == {"driver": "digit", "address": "D20001"}
-    Site(cameras={"side": json.loads(f"{{{lines[1].partition('    ')[0]}}}")["cameras"]["NAME"]})
-    assert "usb:1-3" in lines[1]
-    assert "SO101" in lines[3] and "/dev/ttyACM0" in lines[3]
-    assert '"realsense"' in lines[4] and "5000 Mbit/s" in lines[4]
+        ((kind, named),) = json.loads(f"{{{entry}}}").items()
+        Site(**{kind: named})
+        entries.append((kind, named["NAME"]))
+    assert entries[1] == ("cameras", {"driver": "webcam", "address": "usb:1-3"})
+    assert entries[2] == ("tactile", {"driver": "digit", "address": "D20001"})
+    # A link by serial number is that of any device of its kind where there is no such number.
+    assert entries[3] == ("arms", {"driver": "so101", "address": f"{tmp_path}/by-path/usb-2.2"})
+    assert entries[4] == ("hands", {"driver": "tilburg", "address": f"{tmp_path}/by-id/usb-FT1"})
+    assert entries[5] == ("arms", {"driver": "so101", "address": "usb:2-5"})
+    assert "SO101" in lines[3] and "now /dev/ttyACM0" in lines[3] and "GELLO" in lines[4]
+    assert '"realsense"' in lines[6] and "5000 Mbit/s" in lines[6]
 
 
 def test_nothing_is_said_to_be_nothing() -> None:

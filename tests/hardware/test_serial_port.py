@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from rcs.errors import DeviceFault
-from rcs.hardware.serial_port import claim
+from rcs.errors import DeviceFault, InvalidSetup
+from rcs.hardware.serial_port import claim, port_at
+from rcs.hardware.usb import UsbDevice
 
 
 @pytest.fixture
@@ -50,8 +51,26 @@ def test_the_program_that_has_a_port_is_named_however_deep_its_python_lies(port:
         other.communicate("\n")
 
 
-def test_a_port_that_is_not_there_is_told_with_where_to_look(tmp_path: Path) -> None:
-    with pytest.raises(DeviceFault, match=r"There is no hand at .*ttyUSB9: No such file.* ls /dev/tty"):
+@pytest.fixture
+def board(monkeypatch: pytest.MonkeyPatch) -> UsbDevice:
+    """Plug in a board with a serial port, and a camera."""
+    board = UsbDevice(path="1-2.3", serial="5735016631", product="USB Single Serial", nodes=("ttyACM0",))
+    camera = UsbDevice(path="1-4", serial="A1", nodes=("video0",))
+    monkeypatch.setattr("rcs.hardware.serial_port.usb_devices", lambda: [camera, board])
+    return board
+
+
+def test_a_port_is_found_by_serial_number_or_place_and_never_replaced(port: str, board: UsbDevice) -> None:
+    assert port_at(board.serial, "hand") == port_at("usb:1-2.3", "hand") == "/dev/ttyACM0"
+    assert port_at(port, "hand") == port
+    for absent in ("A1", "usb:1-9", "ttyACM0"):
+        with pytest.raises(InvalidSetup) as told:
+            port_at(absent, "hand")
+        assert f"No hand has the serial number or place '{absent}'. Plugged in: {board}." in str(told.value)
+
+
+def test_a_port_that_is_not_there_is_told_with_those_that_are(tmp_path: Path, board: UsbDevice) -> None:
+    with pytest.raises(DeviceFault, match=r"no hand at .*ttyUSB9: No such file.* \(5735016631\) .*, /dev/ttyACM0\."):
         claim(str(tmp_path / "ttyUSB9"), "hand")
 
 

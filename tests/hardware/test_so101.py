@@ -21,6 +21,7 @@ from rcs.hardware import DeviceAddress
 from rcs.hardware.servo_bus import ServoBus
 from rcs.hardware.so101 import FRESH, So101Arm, So101Driver, So101Gripper
 from rcs.hardware.so101_servos import GRIPPER, NAMES, read_calibration
+from rcs.hardware.usb import UsbDevice
 from rcs.robots.so101 import SO101, SO101_GRIPPER
 from rcs.virtual import VirtualProcess, read_events, read_points, read_ticks
 
@@ -93,6 +94,19 @@ def test_opening_switches_nothing_on_and_the_first_command_holds_where_the_arm_i
         assert events(tmp_path / "log", "torque") == []
         switch_on(arm)
         assert [event["servo"] for event in events(tmp_path / "log", "torque")] == list(NAMES[:5])
+
+
+def test_arm_and_gripper_are_found_by_the_serial_number_of_their_board(virtual, monkeypatch):
+    entry = virtual.site.arms["so101"]
+    board = UsbDevice(path="1-2", serial="5735016631")
+    monkeypatch.setattr("rcs.hardware.serial_port.usb_devices", lambda: [board])
+    monkeypatch.setattr("rcs.hardware.serial_port.port_of", lambda device: entry.address.removeprefix("/dev/"))
+    driver = So101Driver()
+    arm = driver.arm("usb:1-2", SO101, entry.options)
+    with arm, driver.gripper("usb:1-2", SO101_GRIPPER, entry.options) as gripper:
+        assert gripper.state().opening == pytest.approx(1.0, abs=0.02)
+    with pytest.raises(InvalidSetup, match="5735016631"), driver.arm("another", SO101, entry.options):
+        pass
 
 
 def test_arm_and_gripper_go_where_they_are_told(virtual):

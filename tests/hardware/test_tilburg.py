@@ -18,7 +18,8 @@ import rcs
 from rcs.devices import Hand
 from rcs.envs.setup import Setup
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.hardware.tilburg import TORQUE, TilburgDriver
+from rcs.hardware.tilburg import CURRENT_BASED_POSITION, GOAL_CURRENT, MODE, TORQUE, TilburgDriver
+from rcs.hardware.usb import UsbDevice
 from rcs.robots import TILBURG_HAND
 from rcs.testing import HandContract
 from rcs.virtual import VirtualProcess
@@ -87,6 +88,26 @@ def test_opening_switches_nothing_on(served: VirtualProcess) -> None:
         time.sleep(0.3)
         np.testing.assert_allclose(hand.state().joints, before, atol=0.01)
         assert not hand._is_powered  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_the_first_command_bounds_the_current_of_every_motor(served: VirtualProcess) -> None:
+    with made(served, current=150) as hand:
+        hand.command_joints(hand.state().joints)
+        assert (hand._read(MODE, 1) == CURRENT_BASED_POSITION).all()  # pyright: ignore[reportAttributeAccessIssue]
+        assert (hand._read(GOAL_CURRENT, 2) == 150).all()  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_it_is_found_by_the_serial_number_of_its_adapter(
+    served: VirtualProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entry: Any = served.site.hands["ur5e"]
+    adapter = UsbDevice(path="1-2", serial="FT1", product="USB Serial")
+    monkeypatch.setattr("rcs.hardware.serial_port.usb_devices", lambda: [adapter])
+    monkeypatch.setattr("rcs.hardware.serial_port.port_of", lambda device: entry.address.removeprefix("/dev/"))
+    with TilburgDriver().hand("FT1", TILBURG_HAND, {}) as hand:
+        assert len(hand.state().joints) == 16
+    with pytest.raises(InvalidSetup, match="FT1"), TilburgDriver().hand("FT2", TILBURG_HAND, {}):
+        pass
 
 
 def test_a_finger_that_is_missing_is_a_fault_that_names_the_motors_that_answer(served: VirtualProcess) -> None:
@@ -160,7 +181,7 @@ def test_options_are_checked() -> None:
         with pytest.raises(InvalidSetup, match=words):
             driver.hand("/dev/null", TILBURG_HAND, options)
     with (
-        pytest.raises(DeviceFault, match=r"There is no hand at.*ls /dev/tty"),
+        pytest.raises(DeviceFault, match=r"There is no hand at.*Plugged in: "),
         driver.hand("/dev/ttyNONE", TILBURG_HAND, {}),
     ):
         pass

@@ -4,29 +4,36 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 
 from rcs.errors import MissingDependency
 from rcs.extras import package_of
 from rcs.hardware.digit import MODEL
+from rcs.hardware.serial_port import port_of
 from rcs.hardware.usb import UsbDevice, usb_devices
 
 INTEL, REALSENSE = "8086", "RealSense"
 """USB vendor, and part of the product's name."""
-SERIAL_CHIPS = {"1a86": "a serial adapter such as that of an SO101", "0403": "a serial adapter such as a U2D2"}
-"""USB vendors of serial adapters (WCH, FTDI), and what they may belong to."""
+SERIAL_CHIPS = {
+    "1a86": ("arms", "so101", "a serial adapter such as that of an SO101"),
+    "0403": ("hands", "tilburg", "a serial adapter such as the U2D2 of a Tilburg Hand, or of a GELLO"),
+}
+"""USB vendors of serial adapters (WCH, FTDI), and what they may belong to: kind, driver and words."""
+LINKS = Path("/dev/serial")
+"""Folder of udev's links to serial ports, by serial number and by place."""
 
 
-def site_lines(devices: Sequence[UsbDevice] | None = None) -> list[str]:
+def site_lines(devices: Sequence[UsbDevice] | None = None, links: Path = LINKS) -> list[str]:
     """Return a line per device that a driver takes, with what it is in a comment's place: `"NAME": {...}  what it is`.
 
     Args:
         devices: The devices; None for those that are plugged in.
+        links: Folder of links to serial ports.
     """
     found: list[str] = []
     serials = _realsense_serials()
     for one in usb_devices() if devices is None else devices:
         is_video = any(node.startswith("video") for node in one.nodes)
-        ports = [node for node in one.nodes if node.startswith("tty")]
         if one.vendor_id == INTEL and REALSENSE in one.product:
             address = serials.get(one.path, "")
             hint = "" if address else "; pip install 'robot-control-stack[realsense]' shows its serial number"
@@ -35,14 +42,23 @@ def site_lines(devices: Sequence[UsbDevice] | None = None) -> list[str]:
             found.append(_line("tactile", "digit", one.address, str(one)))
         elif is_video:
             found.append(_line("cameras", "webcam", one.address, str(one)))
-        elif ports:
-            what = SERIAL_CHIPS.get(one.vendor_id, "a serial port")
-            found.append(_line("arms", "DRIVER", f"/dev/{ports[0]}", f"{what}: {one}"))
+        elif port := port_of(one):
+            kind, driver, what = SERIAL_CHIPS.get(one.vendor_id, ("arms", "DRIVER", "a serial port"))
+            found.append(_line(kind, driver, _link(one, port, links), f"{what}, now /dev/{port}: {one}"))
     return found or ["Nothing is plugged in that a driver takes: no camera, DIGIT or serial port on USB."]
 
 
 def _line(kind: str, driver: str, address: str, what: str) -> str:
     return f'"{kind}": {{"NAME": {json.dumps({"driver": driver, "address": address})}}}    {what}'
+
+
+def _link(device: UsbDevice, port: str, links: Path) -> str:
+    """Return a name of a serial port that lasts: a link by serial number or place, or without one the address."""
+    for kind in ("by-id", "by-path") if device.serial else ("by-path",):
+        for link in sorted((links / kind).glob("*")):
+            if link.resolve().name == port:
+                return str(link)
+    return device.address
 
 
 def _realsense_serials() -> dict[str, str]:

@@ -20,6 +20,7 @@ from rcs.devices import Gripper, GripperState
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.hardware.driver import Driver, require_address
 from rcs.hardware.robotiq_lines import ANSWER_TIME, ModbusLine, RobotiqStatus, Transport, UrcapSocket
+from rcs.hardware.usb import BY_PATH
 from rcs.robots.description import GripperDescription
 
 PERIOD: Final = 0.02
@@ -99,11 +100,11 @@ class RobotiqGripper(Gripper):
         """Create the gripper; `open` connects.
 
         Args:
-            address: IP address of the UR controller, or path of a serial line such as /dev/ttyUSB0.
+            address: IP address of the UR controller, or path or place (`usb:1-2.3`) of a serial line.
             about: Description of the gripper.
             options: Those of `RobotiqOptions`.
-            transport: Makes the transport of an address; None for a serial line if it is a path, else for the URCap's
-                socket.
+            transport: Makes the transport of an address; None for a serial line if it is a path or a place, else for
+                the URCap's socket.
 
         Raises:
             InvalidSetup: An option does not exist or has an invalid value.
@@ -117,7 +118,7 @@ class RobotiqGripper(Gripper):
         self._force = about.grasp_force if given.force is None else given.force
         self._open_at, self._closed_at = given.open, given.closed
         self._speed = round(255 * (given.speed - SLOWEST) / (FASTEST - SLOWEST))
-        self._connect = transport or (ModbusLine if address.startswith("/") else UrcapSocket)
+        self._connect = transport or (ModbusLine if address.startswith(("/", BY_PATH)) else UrcapSocket)
         self._transport: Transport | None = None
         self._lock = threading.RLock()  # for the transport; commands do not wait for a silent line
         self._wake = threading.Event()
@@ -313,7 +314,7 @@ class RobotiqGripper(Gripper):
 
 
 class RobotiqDriver(Driver):
-    """Driver of Robotiq grippers, at the IP address of a UR controller or the path of a serial line."""
+    """Driver of Robotiq grippers, at the IP address of a UR controller, or the path or place of a serial line."""
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> RobotiqGripper:
         """Return a gripper; nothing is connected."""

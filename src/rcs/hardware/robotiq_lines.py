@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol
 
 from rcs.errors import DeviceFault
 from rcs.extras import package_of
-from rcs.hardware.serial_port import claim
+from rcs.hardware.serial_port import claim, port_at
 
 PORT: Final = 63352
 """Port of the URCap's socket."""
@@ -153,14 +153,18 @@ def registers_of(activate: bool, go: bool, position: int, speed: int, force: int
 class ModbusLine:
     """Modbus RTU on a serial line, 115200 baud, device 9."""
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, address: str) -> None:
         """Open the line.
+
+        Args:
+            address: Path or place of the serial port.
 
         Raises:
             MissingDependency: pymodbus is not installed.
+            InvalidSetup: Nothing with a port is at this place.
             DeviceFault: The line cannot be opened.
         """
-        self._path = path
+        self._path = path = port_at(address, "serial line")
         modbus = package_of("robotiq", "pymodbus.client", "A gripper on a serial line needs")
         self._error = package_of("robotiq", "pymodbus", "A gripper on a serial line needs").ModbusException
         os.close(claim(path, "serial line"))  # the library locks it, too, but does not say who has it

@@ -1,4 +1,4 @@
-"""Serial ports: one program at a time, and remedies for those that cannot be opened."""
+"""Serial ports: found by names that last, one program at a time, and remedies for those that cannot be opened."""
 
 from __future__ import annotations
 
@@ -8,6 +8,27 @@ from pathlib import Path
 
 from rcs.errors import DeviceFault
 from rcs.hardware.programs import program_of
+from rcs.hardware.usb import UsbDevice, find, usb_devices
+
+
+def port_at(address: str, what: str) -> str:
+    """Return the path of a serial port.
+
+    Args:
+        address: Its path, or serial number or place (`usb:1-2.3`) of a device on a USB bus.
+        what: Name of what is there for messages, such as "servo bus".
+
+    Raises:
+        InvalidSetup: No device with a port has this number or place, or more than one; the message lists them.
+    """
+    if "/" in address or os.path.exists(address):
+        return address
+    return f"/dev/{port_of(find(address, _with_ports(), what))}"
+
+
+def port_of(device: UsbDevice) -> str:
+    """Return the name in `/dev` of the serial port of a device; empty for a device without one."""
+    return next((node for node in device.nodes if node.startswith("tty")), "")
 
 
 def claim(address: str, what: str) -> int:
@@ -31,8 +52,8 @@ def claim(address: str, what: str) -> int:
         ) from err
     except OSError as err:
         raise DeviceFault(
-            f"There is no {what} at {address}: {err.strerror}. Check the cable and the port: ls /dev/tty* "
-            "/dev/serial/by-id"
+            f"There is no {what} at {address}: {err.strerror}. Check the cable. Plugged in: "
+            f"{'; '.join(f'{one}, /dev/{port_of(one)}' for one in _with_ports()) or 'no serial port on USB'}."
         ) from err
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -40,6 +61,10 @@ def claim(address: str, what: str) -> int:
         os.close(file)
         raise DeviceFault(f"The {what} at {address} is in use by {_holder(address)}; end it first.") from err
     return file
+
+
+def _with_ports() -> list[UsbDevice]:
+    return [one for one in usb_devices() if port_of(one)]
 
 
 def _holder(address: str) -> str:

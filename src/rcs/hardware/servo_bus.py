@@ -17,7 +17,7 @@ from typing import Any
 
 from rcs.errors import DeviceFault
 from rcs.extras import package_of
-from rcs.hardware.serial_port import claim
+from rcs.hardware.serial_port import claim, port_at
 
 BAUD = 1_000_000
 TIMEOUT = 0.09
@@ -40,7 +40,7 @@ class ServoBus:
         """Create the bus; `open` opens the port.
 
         Args:
-            address: Path of the serial port.
+            address: Path of the serial port, or serial number or place of its USB device.
             names: Names of the servos for messages, by number.
             timeout: Time without an answer after which servos count as lost [s].
         """
@@ -69,11 +69,13 @@ class ServoBus:
 
         Raises:
             MissingDependency: The vendor's library is not installed.
+            InvalidSetup: No port has the serial number or place.
             DeviceFault: The port does not exist, may not be used, or is in use by another program.
         """
         sdk = package_of("so101", "scservo_sdk", "An SO101 needs")
-        claimed = claim(self.address, "servo bus")
-        port = sdk.PortHandler(self.address)
+        path = port_at(self.address, "servo bus")
+        claimed = claim(path, "servo bus")
+        port = sdk.PortHandler(path)
         try:
             port.setBaudRate(BAUD)
         except (OSError, termios.error) as err:  # includes pyserial's exceptions

@@ -252,7 +252,10 @@ class So101Gripper(Gripper):
 
 
 class So101Driver(Driver):
-    """Driver of SO101 arms and grippers at a serial port, with the options of `So101Options`."""
+    """Driver of SO101 arms and grippers, with the options of `So101Options`.
+
+    The address is a serial port, or serial number or place of its board.
+    """
 
     hosted = True
     host_times = HostTimes(answer=2.0, open=5.0)  # arm and gripper share a line and wait for each other
@@ -271,5 +274,5 @@ class So101Driver(Driver):
 
     def _servos(self, address: str) -> Link[Servos]:
         if not address:
-            raise InvalidSetup("The SO101 has no address; give the path of its serial port, such as /dev/ttyACM0.")
+            raise InvalidSetup("The SO101 has no address; give the serial number of its board, or its serial port.")
         return self.link(address, lambda: Servos(address), lambda one: one.bus.close())

@@ -127,10 +127,11 @@ class Servos:
         """Open the bus; nothing is sent.
 
         Args:
-            address: Path of the serial port.
+            address: Path of the serial port, or serial number or place of the board.
 
         Raises:
             DeviceFault: The port cannot be used.
+            InvalidSetup: There is none with this serial number or place.
             MissingDependency: The vendor's library is not installed.
         """
         self.bus = ServoBus(address, dict(enumerate(NAMES, 1)), OPENING)

@@ -30,7 +30,7 @@ from rcs.devices import Hand, HandState
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.extras import package_of
 from rcs.hardware.driver import Driver, HostTimes
-from rcs.hardware.serial_port import claim
+from rcs.hardware.serial_port import claim, port_at
 from rcs.robots.description import HandDescription
 
 _log = logging.getLogger(__name__)
@@ -80,7 +80,7 @@ class TilburgOptions(Record):
 
 
 class TilburgDriver(Driver):
-    """Driver of Tilburg Hands. The address is a serial port such as one in /dev/serial/by-id."""
+    """Driver of Tilburg Hands. The address is a serial port, or serial number or place of its adapter."""
 
     hosted = True
     host_times = HostTimes(open=10.0, answer=1.0)
@@ -101,9 +101,10 @@ class TilburgHand(Hand):
         """
         given = TilburgOptions.from_json(options)
         if not address:
-            raise InvalidSetup("The Tilburg Hand has no address; give its serial port, such as /dev/ttyUSB0.")
+            raise InvalidSetup("The Tilburg Hand has no address; give the serial number of its adapter, or its port.")
         super().__init__(f"{about.name} at {address}", len(about.joints))
-        self._address, self._joints = address, about.joints
+        self._address = self._path = address
+        self._joints = about.joints
         self._current, self._side, self._calibration = round(given.current), given.side, given.calibration
         self._releases = given.at_close == "release"
         self._bus = threading.RLock()  # `hold` comes from any thread
@@ -181,7 +182,8 @@ class TilburgHand(Hand):
 
     def _connect(self) -> None:
         module = package_of("tilburg", "tilburg_hand.motor_interface", "A Tilburg Hand needs")
-        self._port = claim(self._address, "hand")
+        self._path = port_at(self._address, "hand")
+        self._port = claim(self._path, "hand")
         try:
             self._find_motors(module)
         except BaseException:
@@ -226,7 +228,7 @@ class TilburgHand(Hand):
     def _config(self, package: Path, folder: Path) -> str:
         """Write a configuration with this port and return its path."""
         content = json.loads((package / "motorgui" / "config.json").read_text("utf-8"))
-        content["motors_dynamixelsdk_port"] = self._address
+        content["motors_dynamixelsdk_port"] = self._path
         path = folder / "config.json"
         path.write_text(json.dumps(content), "utf-8")
         return str(path)

@@ -110,8 +110,8 @@ def find(address: str, among: Sequence[UsbDevice], what: str) -> UsbDevice:
             f"{BY_PATH}{matching[0].path}. Plugged in: {there}."
         )
     raise InvalidSetup(
-        f"No {what} has the serial number or place {address!r}. Plugged in: {there}. Numbers such as /dev/video0 "
-        "change with the order of plugging; they are not valid."
+        f"No {what} has the serial number or place {address!r}. Plugged in: {there}. Numbers as in /dev/video0 change "
+        "with the order of plugging; they are not valid."
     )
 
 
