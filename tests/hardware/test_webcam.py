@@ -103,6 +103,18 @@ def wait_for(what: Callable[[], bool], limit: float = 60.0) -> None:
         time.sleep(0.02)
 
 
+def test_the_end_of_a_name_is_enough_where_no_other_sensor_has_it(running: Running) -> None:
+    running.tell("left", "swap", "right")
+    with pytest.raises(DeviceFault, match="another camera answers"), digit(running, "so101_left"):
+        pass
+    running.tell("left", "clear")
+    with digit(running, "so101_left") as left:
+        left.read()
+    for name in ("middle", "eft", "t"):
+        with pytest.raises(UnknownName, match="so101_left"):
+            running.tell(name, "black")
+
+
 def test_pictures_are_those_that_the_world_drew(running: Running) -> None:
     parts = resolve(running.world.setup)
     world = World(compose(parts).compile(), frequency=100)

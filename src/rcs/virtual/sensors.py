@@ -117,6 +117,11 @@ class VirtualSensors:
         """Names of cameras and tactile sensors."""
         return [*self._cameras, *self._skins]
 
+    def named(self, name: str) -> str:
+        """Return the sensor with a name, or the only one whose name has it after `_`; empty for none."""
+        ends = [one for one in self.names if one.endswith(f"_{name}")]
+        return name if name in self.names else ends[0] if len(ends) == 1 else ""
+
     def site(self) -> dict[str, dict[str, Any]]:
         """Return the entries of a site."""
 
@@ -143,9 +148,9 @@ class VirtualSensors:
         fault = Fault.parse(words, FAULTS)
         value: float | str = ""
         if fault.name == "swap":
-            value = fault.value
-            if value not in self.names:
-                raise InvalidSetup(f"There is no sensor {value!r} to swap with; valid: {', '.join(self.names)}.")
+            value = self.named(fault.value)
+            if not value:
+                raise InvalidSetup(f"There is no sensor {fault.value!r} to swap with; valid: {', '.join(self.names)}.")
         elif fault.value:
             value = fault.number
             if fault.name == "drop" and value > 1:

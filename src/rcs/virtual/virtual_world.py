@@ -184,7 +184,8 @@ class VirtualWorld:
         """Apply a fault or answer a question.
 
         Args:
-            words: Name of the robot, "" for all robots, or name of a sensor; then a fault and its value, or a question.
+            words: Name of the robot, "" for all robots, or name of a sensor, of which the end after `_` is enough if it
+                is that of no other; then a fault and its value, or a question.
 
         Returns:
             The answer; empty for a fault.
@@ -194,10 +195,10 @@ class VirtualWorld:
             InvalidSetup: The value is invalid; nothing happens then.
         """
         name, *rest = words
-        sensors = [] if self.sensors is None else self.sensors.names
-        if self.sensors is not None and name in sensors:
-            self.sensors.tell(name, rest)
-            self.log.note("", "told", sensor=name, fault=rest[0], value=" ".join(rest[1:]))
+        sensors = self.sensors
+        if sensors is not None and name not in ("", *self.robots, *self.hands) and (sensor := sensors.named(name)):
+            sensors.tell(sensor, rest)
+            self.log.note("", "told", sensor=sensor, fault=rest[0], value=" ".join(rest[1:]))
             return ""
         if name in self.hands:
             robot, wire = self.hands[name]
@@ -206,7 +207,8 @@ class VirtualWorld:
             self.robots[robot].note("told", hand=name, fault=fault.name, value=fault.value)
             return ""
         if name and name not in self.robots:
-            raise UnknownName("robot, hand or sensor of this world", name, [*self.robots, *self.hands, *sensors])
+            more = () if sensors is None else sensors.names
+            raise UnknownName("robot, hand or sensor of this world", name, [*self.robots, *self.hands, *more])
         if rest == [JUDGE]:
             self._judge()
             return VERDICTS[self.success]
