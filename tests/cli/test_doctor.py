@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import socket
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,10 +16,13 @@ import pytest
 from rcs.cli.main import main
 from rcs.devices import CameraMode, Frame, GripperState
 from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper
+from rcs.envs.cameras import Cameras
+from rcs.envs.setup import Setup
 from rcs.errors import MissingDependency
 from rcs.hardware import FakeDriver
-from rcs.hardware.machine import examine_file, examine_machine, examine_network
-from rcs.robots.camera import CameraDescription
+from rcs.hardware.machine import examine_file, examine_machine, examine_network, host_of
+from rcs.hardware.usb import Plug, UsbDevice, find
+from rcs.robots.camera import CameraDescription, CameraMount, looking
 from rcs.robots.description import ArmDescription, GripperDescription
 from rcs.rollout import examine as module
 
@@ -36,6 +40,7 @@ class LabDriver(FakeDriver):
 
     wrong: ClassVar[str] = ""
     commands: ClassVar[int] = 0
+    plugs: ClassVar[Mapping[str, Plug]] = {}
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> FakeArm:
         plain = super().arm(address, about, options)
@@ -60,6 +65,11 @@ class LabDriver(FakeDriver):
         self, address: str, about: CameraDescription, mode: CameraMode, options: Mapping[str, Any]
     ) -> FakeCamera:
         class Camera(FakeCamera):
+            def plug(self) -> Plug | None:
+                if address == "absent":
+                    find("A2", [], "camera")
+                return LabDriver.plugs.get(address)
+
             def _open(self) -> None:
                 if LabDriver.wrong == "library":
                     raise MissingDependency("This needs zed: pip install 'robot-control-stack[zed]'")
@@ -169,6 +179,65 @@ def test_a_site_that_names_what_is_not_there_is_a_fault(site: Path, capsys: pyte
         assert words in str([one for one in found if one["status"] == "fault"])
 
 
+def test_a_wrong_entry_is_a_fault_of_its_own_and_all_others_are_examined(
+    site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = json.loads(site.read_text())
+    entry = content["cameras"]["side"]
+    wrong = {
+        "arms": {"fr4": entry},
+        "grippers": {"fr4": entry},
+        "cameras": {"wrist": {**entry, "address": "absent"}, "ceiling": {**entry, "address": "c"}},
+        "tactile": {"fr3_middle": entry},
+    }
+    site.write_text(json.dumps({kind: {**content.get(kind, {}), **more} for kind, more in wrong.items()}))
+    code, found = examined(site, capsys, "--robot", "fr3")
+    assert code == 1
+    faults = {one["part"]: one for one in found if one["status"] == "fault"}
+    assert set(faults) == {"fr4", "fr4/gripper", "wrist", "ceiling", "fr3_middle"}
+    assert len([one for one in found if one["status"] == "fault"]) == len(faults)
+    assert "'A2'" in faults["wrist"]["message"] and "plug it in" in faults["wrist"]["remedy"]
+    assert "fr3_left" in faults["fr3_middle"]["message"] and "site file" in faults["fr3_middle"]["remedy"]
+    assert {one["part"] for one in found if one["status"] == "ok"} >= {"fr3", "fr3/gripper", "side"}
+
+
+def test_two_cameras_that_are_one_device_are_told_and_the_first_is_read(
+    site: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plug = Plug(device=UsbDevice(path="1-2", serial="A1", bus=1, speed=480.0), needs=1.0)
+    monkeypatch.setattr(LabDriver, "plugs", {"b": plug, "c": plug})
+    content = json.loads(site.read_text())
+    content["cameras"]["wrist"] = {**content["cameras"]["side"], "address": "c"}
+    site.write_text(json.dumps(content))
+    _, found = examined(site, capsys)
+    (fault,) = (one for one in found if one["status"] == "fault")
+    assert fault["part"] == "wrist" and "a device of its own" in fault["message"]
+    assert "side" in {one["part"] for one in found if one["status"] == "ok"}
+
+
+def test_a_lab_with_another_hand_or_cameras_of_its_own_is_examined(
+    site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = {"driver": "fake", "address": "d"}
+    site.write_text(json.dumps({"arms": {"fr3": entry}, "hands": {"fr3": entry}, "cameras": {"ceiling": entry}}))
+    code, found = examined(site, capsys)
+    assert code == 1
+    faults = {one["part"]: one["remedy"] for one in found if one["status"] == "fault"}
+    assert set(faults) == {"fr3/hand", "ceiling"} and all("--setup" in one for one in faults.values())
+    _, found = examined(site, capsys, "--end-effector", "tilburg_hand")
+    assert [one["part"] for one in found if one["status"] == "fault"] == ["ceiling"]
+    above = CameraMount(camera="realsense_d435", optical=looking((0.5, 0.0, 1.0), (0.5, 0.1, 0.0)))
+    cameras = Cameras(mounts={"ceiling": above}, fps=15)
+    setup = Setup(task="Free", robot="fr3", end_effector="tilburg_hand", cameras=cameras)
+    file = site.with_name("setup.json")
+    file.write_text(json.dumps(setup.to_json()))
+    code, found = examined(site, capsys, "--setup", str(file))
+    assert code == 0, found
+    assert {one["part"] for one in found if one["status"] == "ok"} >= {"fr3", "fr3/hand", "ceiling"}
+    assert ended(["doctor", "--site", str(site), "--setup", str(file), "--robot", "fr3"]) != 0
+    assert "leave out --robot" in " ".join(capsys.readouterr().err.split())
+
+
 def test_it_moves_after_a_question_only(
     site: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,6 +272,37 @@ def test_files_and_addresses_that_are_not_there_are_faults(tmp_path: Path) -> No
     assert examine_file("so101", str(tmp_path / "tty"))[0].status == "fault"
     (tmp_path / "tty").touch()
     assert examine_file("so101", str(tmp_path / "tty")) == []
-    assert examine_network("/dev/ttyACM0", "so101") == []
+    assert examine_network("", "so101") == []
     (here,) = examine_network("127.0.0.1", "ur", packets=50)
     assert "50 packets at 500 Hz" in here.message or "may not" in here.message
+
+
+@pytest.mark.parametrize(
+    ("address", "driver", "host"),
+    [
+        ("192.0.2.1", "ur", "192.0.2.1"),
+        ("arm.lab", "franka", "arm.lab"),
+        ("127.0.0.1:7007", "module:Class", "127.0.0.1"),
+        ("http://camera.lab:8080/left?a=b", "webcam", "camera.lab"),
+        ("http://192.0.2.7/left", "digit", "192.0.2.7"),
+        *((word, "webcam", "") for word in ("0123456789", "D20001", "usb:1-2.3", "", "http://[", "records/a.bag")),
+        ("/dev/ttyUSB0", "robotiq", ""),
+        ("usb:1-2.3", "robotiq", ""),
+    ],
+)
+def test_the_host_of_an_address_is_known(address: str, driver: str, host: str) -> None:
+    assert host_of(address, driver) == host
+
+
+def test_a_name_without_an_address_is_a_fault_and_that_of_a_host_is_resolved(monkeypatch: pytest.MonkeyPatch) -> None:
+    def resolved(name: str) -> str:
+        if name != "camera.lab":
+            raise socket.gaierror(-2, "Name or service not known")
+        return "127.0.0.1"
+
+    monkeypatch.setattr("socket.gethostbyname", resolved)
+    (found,) = examine_network("camera.lab", "webcam", packets=5)
+    assert found.part == "network camera.lab" and "no address" not in found.message
+    (found,) = examine_network("arm.lab", "franka", packets=5)
+    assert (found.part, found.status) == ("network arm.lab", "fault")
+    assert "Name or service not known" in found.message and "IP address" in found.remedy

@@ -38,6 +38,10 @@ class DoctorCommand:
     """Site file of the lab to examine."""
     robot: str | None = None
     """Name of the robot, or of the lab with several; needed where the site's arms could be those of more than one."""
+    end_effector: str | None = None
+    """Name of the gripper or hand; the robot's usual one if left out, `none` for the flange."""
+    setup: Path | None = None
+    """JSON file of a setup in place of these two, for a lab with cameras of its own."""
     seconds: float = 10.0
     """How long the devices are read [s]."""
     move: bool = False
@@ -56,13 +60,19 @@ class DoctorCommand:
 
     def _examine(self, path: Path) -> int:
         from rcs.cli.home import robot_of
+        from rcs.cli.virtual import read_setup
         from rcs.rollout.examine import examine, read_site, setup_for
         from rcs.rollout.exercise import move
 
         if self.move and not self.yes and not sys.stdin.isatty():
             raise InvalidSetup("The input is no terminal, so nobody can be asked; give --yes where somebody watches.")
         site = read_site(path)
-        setup = setup_for(site, self.robot or robot_of(site))
+        if self.setup is None:
+            setup = setup_for(self.robot or robot_of(site), self.end_effector)
+        elif self.robot is None and self.end_effector is None:
+            setup = read_setup(self.setup)
+        else:
+            raise InvalidSetup("The setup of --setup names robot and end effector; leave out --robot, --end-effector.")
         console = plain_console()
         found = [*_packages(site), *examine(site, setup, seconds=self.seconds)]
         if self.move and worst(found) != "fault":

@@ -59,7 +59,9 @@ class VirtualCommand:
     def _serve(self, robot: str) -> int:
         from rcs.virtual.virtual_world import VirtualWorld, usual_setup
 
-        setup = usual_setup(robot) if self.setup is None else _read(self.setup, robot)
+        setup = usual_setup(robot) if self.setup is None else read_setup(self.setup)
+        if self.setup is not None and setup.robot != robot:
+            raise InvalidSetup(f"The setup {self.setup} is for {setup.robot!r}, not for {robot!r}.")
         world = VirtualWorld(
             setup, address=self.address, seed=self.seed, log=self.log, cameras=self.cameras, tactile=self.tactile
         )
@@ -73,11 +75,13 @@ class VirtualCommand:
         return 0
 
 
-def _read(path: Path, robot: str) -> Setup:
+def read_setup(path: Path) -> Setup:
+    """Read a setup from a JSON file.
+
+    Raises:
+        InvalidSetup: The file cannot be read, or is that of no setup.
+    """
     try:
-        setup = Setup.from_json(json.loads(path.read_text("utf-8")))
+        return Setup.from_json(json.loads(path.read_text("utf-8")))
     except (OSError, ValueError, RecursionError) as err:
         raise InvalidSetup(f"The setup {path} cannot be read: {err}.") from err
-    if setup.robot != robot:
-        raise InvalidSetup(f"The setup {path} is for {setup.robot!r}, not for {robot!r}.")
-    return setup

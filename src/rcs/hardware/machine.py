@@ -12,10 +12,12 @@ import struct
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 
 from rcs.hardware.finding import Finding
+from rcs.hardware.usb import BY_PATH
 
 PACKETS = 1000
 """Number of packets that are sent to an address."""
@@ -25,6 +27,8 @@ MOST_LOSS, MOST_DELAY = 0.002, 1e-3
 """Loss [1] above which a controller of 1 kHz breaks off sooner or later, and delay at 99 % [s] above which it may."""
 RATES = {"franka": 1000.0, "ur": 500.0, "xarm": 250.0}
 """Rate at which a driver's arm gets commands [1/s]; 100 for others."""
+NAMED = (*RATES, "robotiq")
+"""Drivers whose address may be the name of a host."""
 _ECHO, _ANSWER = 8, 0
 
 
@@ -82,19 +86,42 @@ def examine_file(part: str, path: str) -> list[Finding]:
     ]
 
 
-def examine_network(address: str, driver: str, packets: int = PACKETS) -> list[Finding]:
-    """Send packets to an address at the rate of its arm and return findings about loss and delay.
+def host_of(address: str, driver: str) -> str:
+    """Return the host of a device; empty for one that is on no network.
 
     Args:
-        address: An IP address; other text is no network address, and there is nothing to find.
+        address: Address of the device in a site: an IP address, a URL, or for drivers in `NAMED` a name; a port may
+            follow.
+        driver: Name of its driver.
+    """
+    is_url = "://" in address
+    if address.startswith(BY_PATH):
+        return ""
+    try:
+        host = urlsplit(address if is_url else f"//{address}").hostname or ""
+        if not is_url and driver not in NAMED:
+            ipaddress.ip_address(host)
+    except ValueError:  # a serial number, such as that of a camera
+        return ""
+    return host
+
+
+def examine_network(host: str, driver: str, packets: int = PACKETS) -> list[Finding]:
+    """Send packets to a host at the rate of its arm and return findings about loss and delay.
+
+    Args:
+        host: IP address or name; there is nothing to find for an empty one.
         driver: Name of its driver, for the rate.
         packets: How many packets.
     """
-    try:
-        ipaddress.ip_address(address)
-    except ValueError:
+    if not host:
         return []
-    part, rate = f"network {address}", RATES.get(driver, 100.0)
+    part, rate = f"network {host}", RATES.get(driver, 100.0)
+    try:
+        address = socket.gethostbyname(host)
+    except OSError as err:
+        remedy = "correct the name, or give the IP address in its place; look at the name server (resolvectl status)"
+        return [Finding(part=part, status="fault", message=f"no address of this name: {err.strerror}", remedy=remedy)]
     try:
         delays = ping(address, packets, rate)
     except PermissionError:

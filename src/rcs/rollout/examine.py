@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +13,14 @@ import numpy as np
 
 from rcs.devices import Arm, Camera, Gripper
 from rcs.envs.cameras import Cameras
-from rcs.envs.parts import Parts
 from rcs.envs.setup import Setup
-from rcs.errors import InvalidSetup, MissingDependency, RcsError
+from rcs.errors import InvalidSetup, MissingDependency, RcsError, UnknownName
 from rcs.hardware.devices import Devices
 from rcs.hardware.finding import Finding
-from rcs.hardware.machine import examine_file, examine_machine, examine_network
-from rcs.hardware.site import KINDS, DeviceAddress, Site
+from rcs.hardware.machine import examine_file, examine_machine, examine_network, host_of
+from rcs.hardware.site import KINDS, AnyDevice, DeviceAddress, Site
 from rcs.hardware.usb import require_plugs
-from rcs.setups.resolve import devices_of, resolve
+from rcs.setups.resolve import devices_of, resolve, with_camera_names
 
 READING = 10.0
 """How long a device is read [s]."""
@@ -34,12 +34,20 @@ LEAST_RATE = 0.8
 """Share of its rate that a camera must deliver."""
 BLACK = 3.0
 """Mean of a picture below which it is black [of 255]."""
+LOOK_AT_IT = "check its power, cable and address, and that no other program uses it"
+"""Remedy for a device in whose fault no words of `_REMEDIES` are."""
+CORRECT_IT = "correct its entry in the site file, or name end effector or setup of the lab (--end-effector, --setup)"
+"""Remedy for an entry of a site that no device can be made of."""
 
 
-def setup_for(site: Site, robot: str) -> Setup:
-    """Return a setup with the robot, the end effectors, the cameras and the sensors of a site."""
-    cameras = Cameras(names=tuple(site.cameras), fps=RATE if site.cameras else None)
-    return Setup(task="Free", robot=robot, cameras=cameras, tactile="digit" if site.tactile else None)
+def setup_for(robot: str, end_effector: str | None = None) -> Setup:
+    """Return a setup for an examination.
+
+    Args:
+        robot: Name of the robot, or of the lab with several.
+        end_effector: Name of the gripper or hand; None for the usual one.
+    """
+    return Setup(task="Free", robot=robot, end_effector=end_effector, cameras=Cameras(fps=RATE))
 
 
 def examine(site: Site, setup: Setup, *, seconds: float = READING, packets: int = 1000) -> list[Finding]:
@@ -47,51 +55,62 @@ def examine(site: Site, setup: Setup, *, seconds: float = READING, packets: int 
 
     Args:
         site: The site.
-        setup: A setup with its robots and cameras.
+        setup: A setup with its robots; cameras and sensors of the site are added.
         seconds: How long each device is read [s]; all are read together.
         packets: Number of packets to each address.
+
+    Raises:
+        InvalidSetup: The setup is not valid.
+        UnknownName: A name in it does not exist.
     """
+    setup = with_camera_names(setup)
+    resolve(setup)
     found = examine_machine()
-    places = {
-        (one.address, one.driver)
+    hosts = {
+        (host_of(one.address, one.driver), one.driver)
         for kind in KINDS
         for one in getattr(site, kind).values()
         if isinstance(one, DeviceAddress)
     }
-    names = {
-        (one.address, name)
-        for kind in KINDS
-        for name, one in getattr(site, kind).items()
-        if isinstance(one, DeviceAddress)
-    }
-    for address, driver in sorted(places):
-        found += examine_network(address, driver, packets)
-    for address, name in sorted(names):
-        if address.startswith("/dev/"):
-            found += examine_file(name, address)
-    try:
-        parts = resolve(setup)
-        found += _entries(site, parts)
-        devices = devices_of(site, parts)
-        require_plugs({**devices.cameras, **devices.tactile})
-    except RcsError as err:
-        return [*found, Finding(part="site", status="fault", message=str(err), remedy="correct the site file")]
-    return [*found, *_read_all(devices, seconds)]
+    for host, driver in sorted(hosts):
+        found += examine_network(host, driver, packets)
+    sound, faults = _entries(site, setup)
+    return [*found, *faults, *_read_all(devices_of(sound, resolve(_with_views(setup, sound))), seconds)]
 
 
-def _entries(site: Site, parts: Parts) -> list[Finding]:
-    """Return a fault for each entry of a site whose name is that of no part."""
-    known = {
-        "arms": [robot.name for robot in parts.robots],
-        "cameras": [camera.name for camera in parts.cameras],
-        "tactile": [sensor.name for sensor in parts.tactile],
-    }
-    return [
-        Finding(part=name, status="fault", message=f"no {kind} has this name", remedy=f"valid: {', '.join(valid)}")
-        for kind, valid in known.items()
-        for name in getattr(site, kind)
-        if name not in valid
-    ]
+def _entries(site: Site, setup: Setup) -> tuple[Site, list[Finding]]:
+    """Return a site with the entries that a device can be made of, and a fault for each of the others."""
+    sound: dict[str, dict[str, AnyDevice]] = {kind: {} for kind in KINDS}
+    views: dict[str, Camera] = {}
+    found: list[Finding] = []
+    for kind in KINDS:
+        for name, entry in getattr(site, kind).items():
+            part = f"{name}/{kind[:-1]}" if kind in ("grippers", "hands") else name
+            is_file = isinstance(entry, DeviceAddress) and entry.address.startswith("/dev/")
+            if is_file and (faults := examine_file(part, entry.address)):
+                found += faults
+                continue
+            alone = replace(site, **{**{one: {} for one in KINDS}, kind: {name: entry}})
+            try:
+                parts = resolve(_with_views(setup, alone))
+                if kind == "tactile" and name not in (valid := [one.name for one in parts.tactile]):
+                    raise UnknownName("tactile sensor of this setup", name, valid)
+                devices = devices_of(alone, parts)
+                more = {**devices.cameras, **devices.tactile}
+                require_plugs({**views, **more})
+            except RcsError as err:
+                found.append(_fault(part, err, CORRECT_IT))
+            else:
+                views |= more
+                sound[kind][name] = entry
+    return replace(site, **sound), found
+
+
+def _with_views(setup: Setup, site: Site) -> Setup:
+    """Return a setup that has the cameras of a site, too, and tactile sensors if the site has any."""
+    names = tuple(dict.fromkeys((*setup.cameras.names, *site.cameras)))
+    tactile = (setup.tactile or "digit") if site.tactile else None
+    return replace(setup, cameras=replace(setup.cameras, names=names), tactile=tactile)
 
 
 def _read_all(devices: Devices, seconds: float) -> list[Finding]:
@@ -134,10 +153,8 @@ def _examine(name: str, device: Any, seconds: float, stale_after: float) -> list
         found = _watch(name, device, seconds, stale_after)
         if not isinstance(device, Camera) and not device.fault:
             device.hold()
-    except MissingDependency as err:
-        found.append(Finding(part=name, status="fault", message=str(err), remedy=str(err).rpartition(": ")[2]))
     except Exception as err:  # noqa: BLE001  whatever a driver raises is what was looked for
-        found.append(Finding(part=name, status="fault", message=str(err), remedy=_remedy(str(err))))
+        found.append(_fault(name, err))
     finally:
         try:
             device.close()
@@ -198,11 +215,14 @@ def _watch(name: str, device: Any, seconds: float, stale_after: float) -> list[F
 
 
 _REMEDIES: Sequence[tuple[str, str]] = (
+    ("Plugged in: ", "plug it in, or correct its address in the site file; `rcs list --devices` shows what is there"),
     ("another camera answers", "exchange the cables, or correct the address or serial number in the site"),
     ("Permission denied", "join the group of the file: sudo usermod -aG dialout,video $USER, then log in again"),
     ("is held by", "end that program"),
     ("version", "install the version of the library that fits the controller, or update the controller"),
     ("no camera answers", "switch the camera on, and check the address in the site"),
+    ("is not the expected one", "connect the arm of this entry, or correct its address or calibration"),
+    ("overheating", "let it cool down, and look for what it has to hold"),
     ("does not offer", "choose one of the listed modes: image_size, fps"),
     ("stop", "release the stop on the device, then recover()"),
     ("reflex", "free the arm, then recover()"),
@@ -214,11 +234,15 @@ _REMEDIES: Sequence[tuple[str, str]] = (
 """Words of a message, and what to do about it."""
 
 
-def _remedy(message: str) -> str:
-    for words, remedy in _REMEDIES:
-        if words in message:
-            return remedy
-    return "check its power, cable and address, and that no other program uses it"
+def _remedy(message: str, usual: str = LOOK_AT_IT) -> str:
+    return next((remedy for words, remedy in _REMEDIES if words in message), usual)
+
+
+def _fault(part: str, err: Exception, usual: str = LOOK_AT_IT) -> Finding:
+    """Return the fault of a part that an error tells; that of a missing package says the remedy itself."""
+    message = str(err)
+    remedy = message.rpartition(": ")[2] if isinstance(err, MissingDependency) else _remedy(message, usual)
+    return Finding(part=part, status="fault", message=message, remedy=remedy)
 
 
 def read_site(path: Path) -> Site:
