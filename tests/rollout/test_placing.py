@@ -13,11 +13,11 @@ from rcs_data import Dataset
 
 import rcs
 from rcs.agents import Agent, agent_for
-from rcs.devices.fakes import FakeGripper
+from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.envs import Action, Observation
 from rcs.errors import InvalidSetup
 from rcs.hardware import FakeDriver, Site
-from rcs.robots.description import GripperDescription
+from rcs.robots.description import ArmDescription, GripperDescription
 from rcs.rollout.collect import Collection, Progress, collect, seed_of
 from rcs.rollout.episode import run_episode
 from rcs.rollout.placing import Placer, PlacesInSimulation, Poses, SeededScene, deviation
@@ -205,3 +205,41 @@ def test_on_devices_a_person_says_whether_it_lies_there(
     assert (0.0 < off < 0.003 and angle < np.deg2rad(2.0)) if lies_there else off == 0.0
     np.testing.assert_allclose(Grasp.told[1]["cuboid"], pose, atol=1e-6)
     np.testing.assert_allclose(two.column("observation/joints")[0], rcs.robots.FR3.home, atol=2e-3)
+
+
+class Kept(Holding):
+    """Keeps its arms."""
+
+    arms: list[FakeArm] = []
+
+    def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> FakeArm:
+        self.arms.append(super().arm(address, about, options))
+        return self.arms[-1]
+
+
+def test_a_fault_after_a_success_is_asked_about_and_the_person_places_the_cuboid(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Kept, "arms", [])
+    answers, questions = iter(["yes", "", "y", "y", "yes", "", "n"]), list[str]()
+
+    def answer(question: str) -> str:
+        questions.append(question)
+        if len(questions) == 3:  # whether the task was done
+            Kept.arms[0].trip("the elbow has had enough")
+        return next(answers)
+
+    monkeypatch.setattr("builtins.input", answer)
+    driver = f"{__name__}:Kept:192.0.2.1"
+    collection = Collection(
+        setup=dataclasses.replace(SETUP, relative="absolute"),
+        out=tmp_path / "data",
+        episodes=2,
+        agent=Grasp,
+        hardware=Site(arms={"fr3": driver}, grippers={"fr3": driver}, arm_stale_after=60.0),
+        home_speed=1.0,
+    )
+    assert run(collection).kept == 2
+    assert "the elbow has had enough" in questions[3] and "Put the cuboid" in questions[5]
+    placed = [episode.outcome["placed"] for episode in Dataset.open(collection.out).episodes]
+    assert placed[1] == {"by": "reset", "why": "fault"}

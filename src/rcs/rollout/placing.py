@@ -25,8 +25,9 @@ from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import TQUAT
 from rcs.envs.start import check_start
+from rcs.envs.step.judge import FAULT
 from rcs.envs.step.simulation import Simulation
-from rcs.errors import InvalidSetup
+from rcs.errors import DeviceFault, InvalidSetup
 from rcs.setups.make import make, resolve
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
@@ -81,7 +82,7 @@ class SetDown:
     out_of_reach: list[list[float]] = field(default_factory=list[list[float]])
     """Poses of the seed before that."""
     why: str | None = None
-    """Why it was not set down: `out_of_reach`, `slip` or the end of the last step; None if it was."""
+    """Why it was not set down: `out_of_reach`, `slip`, `fault` or the end of the last step; None if it was."""
 
 
 class SeededScene(Closing):
@@ -156,7 +157,10 @@ class Placer:
             options: Options of a reset that moves nothing.
         """
         env, agent = self._env, self._agent
-        observation, info = env.reset(options=options)
+        try:
+            observation, info = env.reset(options=options)
+        except DeviceFault:  # since the last step; who goes home asks what to do
+            return SetDown(pose=None, why=FAULT)
         if in_tcp is None:
             held = Pose.from_tquat(env.simulation.object_poses()[self.name])
             in_tcp = Pose.from_tquat(observation[TQUAT]).inverse() * held
