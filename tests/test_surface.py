@@ -9,6 +9,7 @@ import inspect
 import pickle
 import pkgutil
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -107,6 +108,12 @@ def test_records_are_frozen_and_take_their_fields_by_name() -> None:
 def test_examples_reach_below_no_public_name() -> None:
     for path in (ROOT / "examples").rglob("*.py"):
         assert not re.search(r"\b(?:rcs|env|world)\.(?:_\w|core\b)", path.read_text()), path
+
+
+def test_no_program_beside_the_packages_hides_a_module_of_python() -> None:
+    found = [path for folder in ("benchmarks", "examples", "tools") for path in (ROOT / folder).rglob("*.py")]
+    assert found
+    assert [path for path in found if path.stem in sys.stdlib_module_names] == []
 
 
 def public(module: str) -> list[str]:

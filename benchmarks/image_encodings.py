@@ -47,7 +47,7 @@ def main(options: Options) -> None:
     for mode in MODES:
         for noise in (False, True):
             takes = collected(mode, noise=noise, episodes=options.episodes)
-            result: dict[str, Any] = {"benchmark": "encodings", "size": mode, "noise": noise}
+            result: dict[str, Any] = {"benchmark": "image_encodings", "size": mode, "noise": noise}
             result["images"] = sum(map(len, takes))
             for colour in get_args(Colour):
                 with tempfile.TemporaryDirectory() as folder:
