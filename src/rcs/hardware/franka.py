@@ -140,7 +140,10 @@ class FrankaDriver(Driver):
 
 
 class FrankaArm(StreamedArm):
-    """An FR3 under impedance control: torques pull it towards the reference like springs and dampers."""
+    """An FR3 under impedance control: torques pull it towards the reference like springs and dampers.
+
+    While it is being switched on, the `mode` of its state is `starting` instead of the controller's own.
+    """
 
     def __init__(self, address: str, about: ArmDescription, options: FrankaOptions | None = None) -> None:
         """Create the arm; `open` connects.
