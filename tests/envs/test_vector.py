@@ -11,6 +11,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import rcs
+from rcs.agents import agent_for
 from rcs.errors import InvalidAction, InvalidSetup, WrongOrder
 from rcs.testing.env_contract import require_same_bits
 
@@ -176,6 +177,28 @@ def test_a_masked_reset_is_of_the_copies_of_its_mask_alone() -> None:
     observation, _ = envs.reset(options={"reset_mask": np.array([False, True, False])})
     singles[1].reset(seed=9)
     require_same_bits(of_copy(observation, 1), singles[1].reset()[0])
+
+
+def test_after_a_masked_reset_the_other_copies_have_the_values_of_their_last_step() -> None:
+    envs, (single, *_) = make_pair(AutoresetMode.DISABLED, 1, max_episode_steps=None)
+    agent, (observation, told) = agent_for(single), single.reset(seed=3)
+    agent.reset(observation, told)
+    action: dict[str, Any] = {}
+    for _ in range(200):
+        action = dict(agent.act(observation, told))
+        observation, *_, told = single.step(action)
+        if told["is_grasped"]:
+            break
+    envs.reset(seed=0)
+    envs.set_state(single.get_state())
+    *_, last = envs.step({key: np.stack([value] * COPIES) for key, value in action.items()})
+    assert last["is_grasped"].all()
+    _, info = envs.reset(options={"reset_mask": np.array([True, False, False])})
+    for key in ("success", "is_grasped", "is_touched", "cuboid", "edges", "time"):
+        np.testing.assert_array_equal(info[key][1:], last[key][1:], err_msg=key)
+        np.testing.assert_array_equal(info[f"_{key}"], [True, False, False])
+    assert not info["is_grasped"][0]
+    assert not info["is_touched"][0]
 
 
 def test_a_mask_does_not_count_where_all_copies_have_to_start() -> None:

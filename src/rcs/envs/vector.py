@@ -103,8 +103,9 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         Args:
             seed: A number s gives copy i the seed s + i; a sequence gives each copy its own; None goes on with the next
                 episodes. Copies that are not reset keep theirs.
-            options: `reset_mask`, (copies,) bool, resets only some copies, and the info is of these alone. The first
-                episodes, and those after an error, start in all copies.
+            options: `reset_mask`, (copies,) bool, resets only some copies, and the masks of the info are those of these
+                alone, as in gymnasium; the other copies have the values of their last step. The first episodes, and
+                those after an error, start in all copies.
 
         Raises:
             WrongOrder: The environment is closed.

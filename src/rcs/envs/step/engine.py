@@ -89,6 +89,7 @@ class Engine:
             approach: Moves real robots to their start; None for leaving them where they are.
         """
         copies = copies if self.is_started else None
+        info: dict[str, Any] = {}
         try:
             self._begin(copies)
             if self.simulation is not None and state is not None:
@@ -106,13 +107,12 @@ class Engine:
                 self._clock.reset()
                 observation = self.observe_start(copies)
             if self.simulation is not None:
-                self.simulation.judge_start(copies)
+                info = self.simulation.judge_start(copies)
         except BaseException as err:
             self._break_off(err)
             raise
         self._must_rebase = False
         self.is_started, self._broken_off_by = True, ""
-        info = {} if self.simulation is None else self.simulation.describe()
         info.update(time=self._judge.time(), instruction=np.full(self.leading, self.instruction, object))
         info = info if self.leading else row(info, ...)
         self.observers.on_reset(observation, info, self._seeds_of(copies))

@@ -168,9 +168,20 @@ class Simulation:
         )
         raise InvalidSetup(f"{type(self.task).__name__}.evaluate leads to {wrong}. It returned {parts}.")
 
-    def judge_start(self, copies: Copies) -> None:
-        """Have the rewards of some copies' episodes count from the present state."""
-        self.rewards.begin(self.evaluate(), ... if copies is None else copies)
+    def judge_start(self, copies: Copies) -> dict[str, Any]:
+        """Have the rewards of some copies' episodes count from the present state, and return the info of all copies.
+
+        Copies that do not start keep the values of their last step.
+        """
+        judgement, info = self.evaluate(), self.describe()
+        self.rewards.begin(judgement, ... if copies is None else copies)
+        if copies is not None:
+            others = np.ones(self.world.leading, np.bool_)
+            others[copies] = False
+            for key in info.keys() & judgement.info.keys():
+                info[key] = np.array(info[key])  # keys may share an array
+                info[key][others] = judgement.info[key][others]
+        return info
 
     @property
     def randomisation(self) -> dict[str, NDArray[np.float64]]:
