@@ -8,7 +8,7 @@ import pytest
 from vlagents import Chunk, Observation
 
 import rcs
-from rcs.errors import WrongOrder
+from rcs.errors import RcsError, WrongOrder
 from rcs.policy import ChunkAgent, Execution
 from tests.policy.swing import Swing
 
@@ -70,4 +70,33 @@ def test_in_real_time_an_episode_begins_when_the_last_ones_call_has_ended() -> N
         with pytest.raises(WrongOrder, match="is over"):
             waiting()
         assert len(policy.seen) == 1, "a question of the last episode is not asked in this one"
+        agent.close()
+
+
+def test_in_real_time_an_episode_is_not_begun_while_the_last_ones_call_never_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Stuck(Swing):
+        begun, goes_on = threading.Event(), threading.Event()
+
+        def infer(self, observation: Observation) -> Chunk:
+            self.begun.set()
+            self.goes_on.wait(5.0)
+            return super().infer(observation)
+
+    monkeypatch.setattr("rcs.policy.agent.STUCK", 0.2)
+    with rcs.make("Free", robot="fr3", relative=False, stepping="realtime", max_episode_steps=None) as env:
+        policy = Stuck()
+        agent = ChunkAgent(env, policy)
+        observation, info = env.reset(seed=0)
+        agent.reset(observation, info)
+        agent.act(observation, info)
+        assert policy.begun.wait(10.0)
+        with pytest.raises(RcsError, match=r"'swing' has not returned .* for 0\.2 s, .*not begun.*vlagents serve"):
+            agent.reset(observation, info)
+        assert len(policy.resets) == 1
+        policy.goes_on.set()
+        monkeypatch.undo()
+        agent.reset(observation, info)
+        assert len(policy.resets) == 2, "once the call has returned, episodes begin again"
         agent.close()

@@ -38,6 +38,9 @@ LOST = "policy"
 
 WAIT = 5.0
 """Longest wait for an unreachable policy at the beginning of an episode [s], by the clock."""
+STUCK = 60.0
+"""Longest wait, at the beginning of an episode, for a call of the last one that is under way [s]; a network that is
+compiled takes tens of seconds for its first."""
 PAUSE = 0.2
 """Pause between two attempts to reach it [s]."""
 
@@ -102,7 +105,7 @@ class ChunkAgent(Agent):
         A call of the last episode that is under way ends first; one that waits is not made any more.
 
         Raises:
-            RcsError: The policy cannot be reached, for `WAIT` seconds.
+            RcsError: The policy cannot be reached, for `WAIT` seconds, or does not return, for `STUCK` seconds.
             InvalidSetup: Another policy is at the address.
         """
         self._episode += 1
@@ -115,6 +118,7 @@ class ChunkAgent(Agent):
         self._begun = float(info.get("time", 0.0))
         self._now = self._time(info)
         self._needs_reset = True
+        self._await_last_call()
         try:
             self._reach()
         except InvalidSetup:
@@ -213,6 +217,15 @@ class ChunkAgent(Agent):
             self._has_ended = True
             raise InvalidSetup("Another policy is at the address now; make the agent anew.")
         self._needs_reset = False
+
+    def _await_last_call(self) -> None:
+        if not self._turn.acquire(timeout=STUCK):
+            raise RcsError(
+                f"The policy {self.metadata.name!r} has not returned from a call of the last episode for {STUCK:g} s, "
+                "so this episode was not begun. End the program and mend the policy, or serve it in a process of its "
+                "own (`vlagents serve`), where a call has a `timeout`."
+            )
+        self._turn.release()
 
     def _reach(self) -> None:
         """Begin, and wait for a policy that cannot be reached: its server may be starting again."""
