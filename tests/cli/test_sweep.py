@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import subprocess
 import sys
 import textwrap
 import threading
 import time
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from rcs_data.ledger import Ledger
 from rcs_data.ledger.condition import key_of
+from vlagents import Server
 
 import rcs
 from rcs.agents.identity import identity_of
 from rcs.cli.main import main
 from rcs.cli.sweep import checkpoints_in, name_of, wait_for_others
 from rcs.errors import RcsError
+from rcs.rollout.collect import Attempt
+from rcs.rollout.episode import EpisodeResult
 from rcs.rollout.evaluate import evaluate
 from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.gpus import own_gpu
-from rcs.rollout.logbook import condition_of
+from rcs.rollout.logbook import Logbook, condition_of
 from rcs.rollout.serving import serving
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -141,6 +147,48 @@ def test_episodes_that_another_process_runs_are_waited_for_and_run_here_if_it_di
     list(evaluate(evaluation, summary))
     assert [attempt.number for attempt in summary.attempts] == [0, 1]
     assert not wait_for_others(evaluation, summary)
+
+
+def test_a_sweep_that_looks_for_the_better_agent_waits_for_other_processes_too(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, trained: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, setup = tmp_path / "out", rcs.Setup(task="PickCuboid", max_episode_steps=4)
+    list(evaluate(Evaluation(setup=setup, agent="PickExpert", name="other", episodes=2, out=out)))
+    asked: set[str] = set()
+    claim = Ledger.claim
+
+    def later(ledger: Ledger, key: str, repeat: int = 0) -> bool:
+        """Refuse every episode once, as if another process ran it, and died."""
+        is_first = key not in asked
+        asked.add(key)
+        return not is_first and claim(ledger, key, repeat)
+
+    monkeypatch.setattr(Ledger, "claim", later)
+    monkeypatch.syspath_prepend(EXAMPLES)
+    with Server(importlib.import_module("16_policy").policy(), port=0) as server:
+        monkeypatch.setattr("rcs.cli.sweep.serving", lambda *_: nullcontext(str(server.address)))
+        words = ("--episodes", "2", "--max-episode-steps", "4", "--until", "0.05", "--against", "other")
+        code, told = call(capsys, str(trained), "--serve", "{checkpoint}", *words, "--out", str(out))
+    assert code == 0, told
+    names = ("other", "act@1000", "act@2000", "act@2000 again")
+    assert [row.agent for row in Ledger(out).rows.values()] == [name for name in names for _ in range(2)]
+
+
+def test_once_the_better_agent_is_known_nothing_is_waited_for(tmp_path: Path) -> None:
+    setup = rcs.Setup(task="PickCuboid", max_episode_steps=4)
+    better = Evaluation(setup=setup, agent="PickExpert", name="better", episodes=8, out=tmp_path)
+    worse = replace(better, name="worse", against="better", until=0.05)
+    identity = identity_of("PickExpert", "PickCuboid")
+    done = EpisodeResult(seed=0, steps=4, success=True, failure=None, reward=0.0)
+    failed = replace(done, success=False, failure="timeout")
+    for evaluation, result, episodes in ((better, done, 8), (worse, failed, 7)):
+        with Logbook(evaluation, identity, condition_of(evaluation, identity)) as book:
+            for number in range(episodes):
+                book.add(Attempt(number=number, result=result))
+    summary = Summary()
+    assert list(evaluate(worse, summary)) == []
+    assert summary.is_decided
+    assert not wait_for_others(worse, summary)
 
 
 def test_what_is_wrong_with_a_run_or_a_command_is_said(

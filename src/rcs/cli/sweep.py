@@ -116,7 +116,7 @@ class SweepCommand(SetupOptions):
             attempts, made_by = attempts_of(evaluation, summary, self.pool)
             with interruptible(summary, console):
                 show(attempts, name, len(evaluation.numbers), console, lambda: len(summary.attempts))
-                while evaluation.until is None and wait_for_others(evaluation, summary):
+                while wait_for_others(evaluation, summary):
                     for _ in attempts_of(evaluation, summary, self.pool)[0]:
                         pass
             tell(evaluation, summary, self.ledger.videos, time.perf_counter() - started, made_by, console)
@@ -147,7 +147,7 @@ def wait_for_others(evaluation: Evaluation, summary: Summary, pause: float = _PA
 
     Args:
         evaluation: The evaluation, of which this process has nothing left to run.
-        summary: Its results so far; `is_interrupted` ends the wait.
+        summary: Its results so far; `is_interrupted` ends the wait, and `is_decided` spares it.
         pause: Time between two looks at the ledger [s].
 
     Returns:
@@ -157,7 +157,7 @@ def wait_for_others(evaluation: Evaluation, summary: Summary, pause: float = _PA
     known = {attempt.number for attempt in summary.attempts}
     numbers = [number for number in range(evaluation.episodes) if number not in known]
     left = {key_of(summary.condition, evaluation.seed_of(number)) for number in numbers}
-    if not left or summary.is_interrupted:
+    if not left or summary.is_interrupted or summary.is_decided:
         return False
     with Ledger(evaluation.out) as ledger:
         while not summary.is_interrupted:

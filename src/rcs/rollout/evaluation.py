@@ -102,6 +102,8 @@ class Summary:
     """Number of episodes; attempts with larger numbers repeat them. None where nothing is repeated."""
     is_interrupted: bool = False
     """Set it to end the evaluation after the running episodes."""
+    is_decided: bool = False
+    """Whether the episodes show which agent is better, where that ends an evaluation."""
     identity: Identity | None = None
     """Who acts, once an evaluation with a ledger has begun."""
     condition: str = ""
