@@ -97,6 +97,14 @@ def test_nothing_runs_twice_and_nothing_is_overwritten(
         kept = path.read_bytes()
 
 
+def test_the_bar_counts_the_episodes_that_the_command_runs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    short = ("PickCuboid", "--workers", "1", "--max-episode-steps", "3", "--out", str(tmp_path))
+    for more, count in [(("--episodes", "2"), "2/2"), (("--episodes", "2", "--repeat", "3"), "6/6")]:
+        code, told = call(capsys, *short, *more)
+        assert code == 0, told
+        assert count in told
+
+
 def test_two_agents_are_compared_and_decided_between(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     short = ("--workers", "1", "--out", str(tmp_path), "--max-episode-steps", "200")
     code, told = call(capsys, "PickCuboid", *short, "--episodes", "8")

@@ -107,7 +107,8 @@ class CollectCommand(SetupOptions):
         if isinstance(supervisor, VirtualSupervisor):
             console.print(f"{supervisor.name} is a virtual robot, which places its objects and judges by itself.")
         title = f"{collection.setup.task} on {collection.setup.robot_label}"
-        show(attempts, title, self.kept.episodes, console, lambda: progress.kept)
+        made = Summary(attempts=progress.attempts)
+        show(attempts, title, self.kept.episodes, console, made, lambda: progress.kept)
 
 
 def _summarise(collection: Collection, progress: Progress, console: Console) -> None:

@@ -62,7 +62,7 @@ class EvalCommand(SetupOptions):
             with interruptible(summary, console):
                 title = f"{evaluation.setup.task} on {evaluation.setup.robot_label}"
                 attempts, made_by = attempts_of(evaluation, summary, self.pool)
-                show(attempts, title, len(evaluation.numbers), console, lambda: len(summary.attempts))
+                show(attempts, title, len(evaluation.numbers), console, summary)
             videos = self.ledger.videos
         finally:
             tell(evaluation, summary, videos, time.perf_counter() - started, made_by, console)

@@ -204,12 +204,12 @@ class RunCommand(SetupOptions):
             if judge is not None:  # a bar would write over the question
                 for attempt in attempts:
                     told = _WORDS[attempt.result.success]
-                    console.print(f"Episode {attempt.number + 1} of {self.episodes}: {told}")
+                    console.print(f"Episode {attempt.number + 1} of {len(evaluation.numbers)}: {told}")
                 if not summary.is_interrupted:
                     judge.end()
                 return
             title = f"{evaluation.setup.task} on {evaluation.setup.robot_label}"
-            show(attempts, title, len(evaluation.numbers), console, lambda: len(summary.attempts))
+            show(attempts, title, len(evaluation.numbers), console, summary)
 
 
 def _host_and_port(text: str) -> tuple[str, int]:

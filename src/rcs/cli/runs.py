@@ -166,15 +166,25 @@ class Interruptible(Protocol):
     is_interrupted: bool
 
 
-def show(attempts: Iterable[Attempt], title: str, total: int, console: Console, done: Callable[[], int]) -> None:
+def show(
+    attempts: Iterable[Attempt],
+    title: str,
+    total: int,
+    console: Console,
+    summary: Summary,
+    done: Callable[[], int] | None = None,
+) -> None:
     """Go through attempts with a bar that tells how many succeed and how fast they are made.
+
+    The bar counts those that are to be run, repetitions among them; the rate is that of the results, without them.
 
     Args:
         attempts: Each is made when it is asked for.
         title: What is written before the bar.
-        total: How many there shall be in the end.
+        total: How many there shall be in the end, with those that were found.
         console: Where the bar is.
-        done: Returns how many there are.
+        summary: Their results so far.
+        done: Returns how many there are; None for all in the summary.
     """
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -184,19 +194,19 @@ def show(attempts: Iterable[Attempt], title: str, total: int, console: Console, 
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    made = Summary()
+    done = done or (lambda: len(summary.attempts))
+    made = found = 0
     with Progress(*columns, console=console) as bar:
         task = bar.add_task(title, total=total, told="")
         start = time.perf_counter()
         try:
-            for attempt in attempts:
-                made.attempts.append(attempt)
-                speed = len(made.attempts) / (time.perf_counter() - start)
-                told = f"{_rate(made)}, {speed:.2f} episodes/s"
-                bar.update(task, completed=min(done(), total), told=told)
-            bar.update(task, completed=min(done(), total))
+            for made, _ in enumerate(attempts, 1):
+                found = summary.found if made == 1 else found  # the last attempt may be followed by those of others
+                told = f"{_rate(summary)}, {made / (time.perf_counter() - start):.2f} episodes/s"
+                bar.update(task, total=total - found, completed=min(done(), total) - found, told=told)
+            bar.update(task, completed=min(done(), total) - found)
         except BaseException:
-            if not made.attempts:  # an empty bar says nothing: the error stands alone
+            if not made:  # an empty bar says nothing: the error stands alone
                 bar.live.transient = bar.disable = True
                 bar.live.stop()
             raise

@@ -115,7 +115,7 @@ class SweepCommand(SetupOptions):
             evaluation = replace(evaluation, name=name)
             attempts, made_by = attempts_of(evaluation, summary, self.pool)
             with interruptible(summary, console):
-                show(attempts, name, len(evaluation.numbers), console, lambda: len(summary.attempts))
+                show(attempts, name, len(evaluation.numbers), console, summary)
                 while wait_for_others(evaluation, summary):
                     for _ in attempts_of(evaluation, summary, self.pool)[0]:
                         pass

@@ -1,0 +1,46 @@
+"""The bar of commands with episodes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+
+from rich.console import Console
+
+from rcs.cli.runs import show
+from rcs.rollout.collect import Attempt
+from rcs.rollout.episode import EpisodeResult
+from rcs.rollout.evaluation import Summary
+
+
+def attempt(number: int, success: bool) -> Attempt:
+    result = EpisodeResult(seed=number, steps=4, success=success, failure=None, reward=0.0)
+    return Attempt(number=number, result=result)
+
+
+def shown(summary: Summary, found: list[Attempt], made: list[Attempt], total: int) -> str:
+    """Return what the bar shows in the end."""
+
+    def attempts() -> Iterator[Attempt]:
+        summary.attempts, summary.found = list(found), len(found)
+        for one in made:
+            summary.attempts.append(one)
+            yield one
+
+    file = io.StringIO()
+    show(attempts(), "title", total, Console(file=file, width=200), summary)
+    return file.getvalue()
+
+
+def test_repetitions_are_counted_as_runs_and_not_in_the_rate() -> None:
+    first, again = [attempt(0, True), attempt(1, False)], [attempt(2, True), attempt(3, True)]
+    told = shown(Summary(episodes=2), [], [*first, *again], 4)
+    assert "4/4" in told
+    assert "50.0 % success" in told
+
+
+def test_episodes_that_were_found_are_not_counted_among_those_to_be_run() -> None:
+    first, again = [attempt(0, True), attempt(1, False)], [attempt(2, True), attempt(3, True)]
+    told = shown(Summary(episodes=2), first, again, 4)
+    assert "2/2" in told
+    assert "50.0 % success" in told
