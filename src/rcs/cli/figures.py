@@ -20,7 +20,7 @@ class FiguresCommand:
     by: str = "policy"
     """What rates are grouped by: `policy`, `agent`, `task`, `robot`, `domain` (real or simulation), `steps` of
     training, a tag such as `mix`, or a path in a condition, such as `setup.frequency` or `execution.mode`. Numbers
-    become curves, everything else bars; what else differs is a colour each."""
+    become curves, everything else bars; what else differs, checkpoints among it, is a colour each."""
 
     def run(self) -> int:
         """Draw, say where the files are, and return the exit code."""

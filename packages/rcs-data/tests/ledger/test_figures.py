@@ -65,15 +65,34 @@ def test_the_page_counts_the_episodes_that_reached_each_stage(
 def test_whatever_differs_is_a_key(varied: Ledger) -> None:
     assert {one.value for one in groups_of(varied, "mix")} == {"half", "all"}
     assert {one.value for one in groups_of(varied, "setup.frequency")} == {5.0, 30.0}
-    (simulated, real) = [one for one in groups_of(varied, "domain") if one.series == "act, half"]
+    (simulated, real) = [one for one in groups_of(varied, "domain") if one.series == "act, half, 1000 steps"]
     assert (simulated.value, simulated.verdicts.judged, real.value, real.verdicts.judged) == (
         "simulation",
-        20,
+        10,
         "real",
-        20,
+        10,
     )
     with pytest.raises(InvalidSetup, match=r"'robott'\. Did you mean 'robot'\?"):
         groups_of(varied, "robott")
+
+
+@pytest.mark.parametrize("by", ["policy", "agent", "robot", "domain", "steps", "mix", "setup.frequency"])
+def test_two_checkpoints_are_never_in_one_rate(varied: Ledger, by: str) -> None:
+    found = groups_of(varied, by)
+    assert [one.verdicts.judged for one in found] == [10] * 8
+    assert len({(one.series, one.value) for one in found}) == 8
+
+
+def test_checkpoints_that_differ_in_their_weights_alone_are_told_apart(
+    tmp_path: Path, make_row: MakeRow, make_condition: MakeCondition
+) -> None:
+    ledger = Ledger.open(tmp_path / "again")
+    for weights in ("a" * 64, "b" * 64):
+        condition = make_condition("act", trained=1000, weights=weights)
+        ledger.register(condition)
+        ledger.add(make_row(condition, 0))
+    for by in ("policy", "robot", "steps"):
+        assert [one.series for one in groups_of(ledger, by)] == [f"weights {name * 16}" for name in "ab"]
 
 
 def test_domains_are_compared_over_agents_that_have_both(varied: Ledger, filled: Ledger) -> None:

@@ -24,6 +24,12 @@ KEYS: Mapping[str, Callable[[Condition], Any]] = {
 }
 """What rates are grouped by: the agent's name without its steps, its whole name, and so on. Tags are keys, too."""
 _NAMED = ("policy", "task", "robot", "domain")
+_CHECKPOINT: Mapping[str, Callable[[Any], str]] = {
+    STEPS: lambda value: f"{value} steps",
+    "agent": str,
+    "weights": lambda value: f"weights {value[:16]}",
+}
+"""What tells the checkpoints of a policy apart, from the plainest on, and how a series is named by it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +46,8 @@ class Group:
 
 def groups_of(ledger: Ledger, by: str) -> list[Group]:
     """Return rates by a key, in the order of its values, and then of series.
+
+    Different checkpoints of a policy are never in one rate: those that would be are series of their own.
 
     Args:
         ledger: The ledger.
@@ -63,9 +71,13 @@ def groups_of(ledger: Ledger, by: str) -> list[Group]:
         and not (by == "agent" and name == "policy")
         and len({_value(one, name) for _, one in conditions}) > 1
     ]
+    for name in _CHECKPOINT:
+        if len(_distinct(conditions, [by, *names, name])) > len(_distinct(conditions, [by, *names])):
+            names.append(name)
     rows: dict[tuple[str, Any], list[Any]] = {}
     for hash_, one in conditions:
-        series = ", ".join(str(value) for name in names if (value := _value(one, name)) is not None)
+        named = {name: value for name in names if (value := _value(one, name)) is not None}
+        series = ", ".join(_CHECKPOINT.get(name, str)(value) for name, value in named.items())
         rows.setdefault((series, _value(one, by)), []).extend(ledger.of(hash_))
     found = [Group(series=series, value=value, verdicts=verdicts_of(own)) for (series, value), own in rows.items()]
     is_number = all(isinstance(one.value, int | float) for one in found)
@@ -96,6 +108,10 @@ def domains_in_words(ledger: Ledger) -> str | None:
         f"Simulation and reality, {len(pairs)} agents with rates in both: Pearson's correlation {told}, mean maximum "
         f"rank violation {violation:.2f}."
     )
+
+
+def _distinct(conditions: Sequence[tuple[str, Condition]], keys: Sequence[str]) -> set[tuple[Any, ...]]:
+    return {tuple(_value(one, key) for key in keys) for _, one in conditions}
 
 
 def _rate(rows: Sequence[Any]) -> float | None:
