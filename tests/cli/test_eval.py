@@ -109,9 +109,11 @@ def test_two_agents_are_compared_and_decided_between(capsys: pytest.CaptureFixtu
     short = ("--workers", "1", "--out", str(tmp_path), "--max-episode-steps", "200")
     code, told = call(capsys, "PickCuboid", *short, "--episodes", "8")
     assert code == 0, told
-    agent = ("--agent", f"{__name__}:Stay", "--name", "idle", "--episodes", "50")
-    expert = "PickExpert"
-    code, told = call(capsys, "PickCuboid", *short, *agent, "--until", "0.05", "--against", expert)
+    agent = ("--agent", f"{__name__}:Stay", "--name", "idle", "--until", "0.05", "--against", "PickExpert")
+    code, told = call(capsys, "PickCuboid", *short, *agent, "--episodes", "6")
+    assert code == 0, told
+    assert "Not shown that idle and PickExpert differ on 6 shared seeds" in told.replace("\n", " ")
+    code, told = call(capsys, "PickCuboid", *short, *agent, "--episodes", "50")
     assert code == 0, told
     assert "is better than idle on 7 shared seeds" in told.replace("\n", " ")
     assert len(Ledger(tmp_path).of(Ledger(tmp_path).find("idle"))) == 7

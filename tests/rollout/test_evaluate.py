@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rcs_data.ledger import Ledger, Row
+from rcs_data.ledger import Ledger, Pairs, Row
 from rcs_data.ledger.row import TIMES
 from rcs_data.read.verdicts import wilson_interval
 from rich.console import Console
@@ -322,6 +322,8 @@ def test_episodes_that_other_processes_have_written_decide_too(tmp_path: Path) -
         mine.ledger.refresh()
         assert mine.is_decided(summary)
         assert list(mine.missing(summary)) == []
+    list(evaluate(idle, summary := Summary()))
+    assert (summary.found, summary.pairs) == (8, Pairs(only_b=7)), "what came after the decision does not count"
 
 
 @pytest.mark.gl

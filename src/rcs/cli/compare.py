@@ -27,7 +27,8 @@ class CompareCommand:
     ledger: tyro.conf.Positional[Path]
     """Folder of the ledger, as `rcs eval --out` has it."""
     agents: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[AGENT ...]")] = ()
-    """Names of agents, or starts of the hashes of their conditions; none for all in the ledger."""
+    """Names of agents, or starts of the hashes of their conditions; none for every two in the ledger that have task,
+    robot and domain (real or simulation) in common."""
     page: Path | None = None
     """File of the page; by default `comparison.html` in the ledger's folder."""
 
@@ -49,6 +50,9 @@ class CompareCommand:
                     console.print(f"They were not evaluated alike: {_differences(one.differences)}.", soft_wrap=True)
             for sentence in ledger.damage:
                 console.print(sentence, soft_wrap=True)
+            if not compared:
+                console.print("No two of them have task, robot and domain in common: name agents to compare them.")
+                return 0
             path = self.page or self.ledger / "comparison.html"
             with disk_errors("write the page", path):
                 write_file(path, comparison_page(ledger, compared).encode())

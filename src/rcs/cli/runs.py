@@ -7,7 +7,7 @@ import signal
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -127,8 +127,8 @@ def tell(
             _film(evaluation, ledger, summary.condition, videos, recording, console)
         if evaluation.against is not None:
             (one,) = compare(ledger, [summary.condition, evaluation.against])
-            shown = f"evidence {one.pairs.evidence:.3g}, of {1 / (evaluation.until or 1.0):.3g} that are needed"
-            console.print(f"{one.words} Looking after every pair: {shown}.", soft_wrap=True)
+            one = replace(one, pairs=summary.pairs or one.pairs, until=evaluation.until)
+            console.print(one.words, soft_wrap=True)
         for sentence in ledger.damage:
             console.print(sentence, soft_wrap=True)
         console.print(f"Ledger: {evaluation.out / LEDGER_FILE}", soft_wrap=True)

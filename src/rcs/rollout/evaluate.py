@@ -180,7 +180,7 @@ def evaluate(
                 yield attempt
         if book is not None:
             book.take(summary)  # what other processes made
-            summary.is_decided = book.is_decided(summary)
+            summary.is_decided, summary.pairs = book.is_decided(summary), book.pairs
 
 
 def film(evaluation: Evaluation, most: int) -> Iterator[tuple[Row, EpisodeResult]]:

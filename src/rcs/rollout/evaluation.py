@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from rcs_data.ledger import Pairs
 from rcs_data.read.verdicts import wilson_interval
 
 from rcs.agents.identity import Identity
@@ -104,6 +105,8 @@ class Summary:
     """Set it to end the evaluation after the running episodes."""
     is_decided: bool = False
     """Whether the episodes show which agent is better, where that ends an evaluation."""
+    pairs: Pairs | None = None
+    """Verdicts of this agent, A, and of the other, B, by which that is decided; None before the end."""
     identity: Identity | None = None
     """Who acts, once an evaluation with a ledger has begun."""
     condition: str = ""

@@ -28,7 +28,7 @@ def test_fewer_than_six_discordant_pairs_give_no_verdict(filled: Ledger) -> None
     (one,) = compare(filled, ["alpha", "gamma"])
     assert one.winner is None
     assert "Not shown that alpha and gamma differ" in one.words
-    assert "fewer than 6 give no verdict" in one.words
+    assert "fewer than 6 give no verdict. About 61 shared seeds would show a difference of this size." in one.words
 
 
 def test_of_several_agents_every_two_are_compared_and_p_values_adjusted(filled: Ledger) -> None:
@@ -36,6 +36,35 @@ def test_of_several_agents_every_two_are_compared_and_p_values_adjusted(filled: 
     assert [(one.a, one.b) for one in found] == [("alpha", "beta"), ("alpha", "gamma"), ("beta", "gamma")]
     assert all(one.p >= one.pairs.p for one in found)
     assert found[0].p > found[0].pairs.p
+    assert found[2].pairs.p < 0.05 < found[2].p
+    assert found[2].words.endswith("About 11 shared seeds would show a difference of this size.")
+
+
+def test_unasked_no_agent_is_compared_with_one_of_another_task_robot_or_domain(
+    filled: Ledger, make_row: MakeRow
+) -> None:
+    before = compare(filled)
+    others = ({"task": "Push"}, {"robot": "ur5e"}, {"platform": {"fr3": "franka"}})
+    for change in others:
+        other = replace(filled.condition(filled.find("beta")), agent=f"other {[*change]}", **change)
+        filled.register(other)
+        for seed in range(8):
+            filled.add(make_row(other, seed, success=False))
+    assert compare(filled) == before
+    (one,) = compare(filled, ["alpha", "other ['task']"])
+    assert one.winner == "alpha", "by name, anything is"
+
+
+def test_after_looks_at_every_pair_the_e_value_alone_decides(filled: Ledger) -> None:
+    (one,) = compare(filled, ["gamma", "beta"])
+    assert one.winner == "gamma"
+    one = replace(one, until=0.05)
+    assert (one.pairs.only_a, one.winner) == (6, None)
+    assert one.words.startswith("Not shown that gamma and beta differ")
+    assert "e = 14.4, of 20 that are needed" in one.words
+    assert "p = " not in one.words
+    (one,) = compare(filled, ["alpha", "beta"])
+    assert replace(one, until=0.05).winner == "alpha"
 
 
 def test_what_differs_besides_the_agents_is_told(filled: Ledger, make_row: MakeRow) -> None:

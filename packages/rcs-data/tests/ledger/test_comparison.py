@@ -88,6 +88,13 @@ def test_pairs_that_seem_needed_show_the_difference_about_as_often_as_said() -> 
     assert 0.7 < np.mean(shown) < 0.9
 
 
+@given(st.integers(1, 8), st.sampled_from([0.05, 0.01, 0.001]))
+def test_pairs_that_all_agree_show_it_once_there_are_as_many_as_needed(count: int, level: float) -> None:
+    needed = Pairs(only_a=count).needed(level)
+    assert needed is not None
+    assert Pairs(only_a=needed).p <= level
+
+
 def test_equal_agents_need_no_number_of_pairs() -> None:
     assert Pairs(both=5, only_a=3, only_b=3).needed() is None
     assert Pairs().difference is None

@@ -34,15 +34,22 @@ class Comparison:
     """Episodes with the same seed."""
     p: float
     """The p value of the pairs; of several comparisons, adjusted by Holm's method."""
+    level: float = LEVEL
+    """Largest p value of the pairs that shows a difference whatever the other comparisons give: `LEVEL` over their
+    number."""
+    until: float | None = None
+    """Level of an evaluation that looked after every pair, so that its e value decides; None if the p value does."""
     differences: dict[str, tuple[Any, Any]]
     """Values besides the agents that differ between the two, by name."""
 
     @property
     def winner(self) -> str | None:
         """Name of the better agent; None if none is shown to be."""
-        if self.pairs.discordant < FEWEST or self.p > LEVEL:
+        pairs = self.pairs
+        by_p = pairs.discordant >= FEWEST and self.p <= LEVEL
+        if not (by_p if self.until is None else pairs.is_decided(self.until)):
             return None
-        return self.a if self.pairs.only_a > self.pairs.only_b else self.b
+        return self.a if pairs.only_a > pairs.only_b else self.b
 
     @property
     def words(self) -> str:
@@ -54,16 +61,17 @@ class Comparison:
         difference = 100 * (pairs.difference or 0.0)
         where = f"on {pairs.n} shared seeds"
         size = f"{difference:+.1f} points, 95 % interval {low:+.1f} to {high:+.1f}"
-        size = f"{size}, p = {self.p:.2g}, e = {pairs.evidence:.2g}"
+        if self.until is None:
+            size += f", p = {self.p:.2g}, e = {pairs.evidence:.2g}"
+        else:
+            size += f", looking after every pair: e = {pairs.evidence:.3g}, of {1 / self.until:.3g} that are needed"
         if (winner := self.winner) is not None:
             return f"{winner} is better than {self.b if winner == self.a else self.a} {where} ({size})."
         told = f"Not shown that {self.a} and {self.b} differ {where} ({size})."
         if pairs.discordant < FEWEST:
-            return (
-                f"{told} They ended differently on {pairs.discordant} of them, and fewer than {FEWEST} give no verdict."
-            )
-        if (needed := pairs.needed()) is not None and needed > pairs.n:
-            told += f" About {needed} shared seeds would show a difference of this size."
+            told += f" They ended differently on {pairs.discordant} of them, and fewer than {FEWEST} give no verdict."
+        if self.until is None and (needed := pairs.needed(self.level)) is not None:
+            told += f" About {max(needed, pairs.n + 1)} shared seeds would show a difference of this size."
         return told
 
 
@@ -72,7 +80,8 @@ def compare(ledger: Ledger, names: Sequence[str] = ()) -> list[Comparison]:
 
     Args:
         ledger: The ledger.
-        names: Names of the agents or starts of their conditions' hashes, at least two; none for all.
+        names: Names of the agents or starts of their conditions' hashes, at least two. None for every two of the same
+            task and robot that both are real, or both simulated: others would say nothing about the agents.
 
     Raises:
         InvalidSetup: There is no such agent, or there are fewer than two.
@@ -86,10 +95,12 @@ def compare(ledger: Ledger, names: Sequence[str] = ()) -> list[Comparison]:
     found = [
         _compared(labels[a], labels[b], rows[a], rows[b], ledger.condition(a), ledger.condition(b))
         for a, b in combinations(hashes, 2)
+        if names or _place_of(ledger.condition(a)) == _place_of(ledger.condition(b))
     ]
     # Those that share no seed test nothing, so they make no verdict harder.
-    adjusted = iter(holm([one.p for one in found if one.pairs.n]))
-    return [replace(one, p=next(adjusted)) if one.pairs.n else one for one in found]
+    p_values = [one.p for one in found if one.pairs.n]
+    adjusted, level = iter(holm(p_values)), LEVEL / max(len(p_values), 1)
+    return [replace(one, p=next(adjusted), level=level) if one.pairs.n else one for one in found]
 
 
 def labels_of(ledger: Ledger, hashes: Sequence[str]) -> dict[str, str]:
@@ -108,6 +119,11 @@ def verdicts_of(rows: Sequence[Row]) -> Verdicts:
 def pairs_of(a: Sequence[Row], b: Sequence[Row]) -> Pairs:
     """Count the verdicts of two agents on the seeds of their rows."""
     return Pairs.of({row.seed: row.success for row in a}, {row.seed: row.success for row in b})
+
+
+def _place_of(condition: Condition) -> tuple[str, str, bool]:
+    """Return what agents have in common that are compared unasked."""
+    return condition.task, condition.robot, condition.is_real
 
 
 def _compared(

@@ -123,6 +123,8 @@ class Pairs:
     def needed(self, alpha: float = 0.05, power: float = 0.8) -> int | None:
         """Return about how many pairs would show the difference seen here by McNemar's test; None if there is none.
 
+        They have at least as many discordant ones as the test needs if all of those agree.
+
         Args:
             alpha: Level of the two-sided test.
             power: Probability with which it is shown, if the rates are as seen here.
@@ -135,7 +137,8 @@ class Pairs:
         share = self.discordant / self.n
         z_alpha, z_power = NormalDist().inv_cdf(1 - alpha / 2), NormalDist().inv_cdf(power)
         root = z_alpha * math.sqrt(share) + z_power * math.sqrt(max(share - self.difference**2, 0.0))
-        return max(math.ceil((root / self.difference) ** 2), self.n)
+        fewest = math.ceil(math.log2(2 / alpha))  # as `FEWEST` for 0.05
+        return math.ceil(max((root / self.difference) ** 2, fewest * self.n / self.discordant))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
