@@ -11,6 +11,8 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
+from rcs_data.ledger import Ledger
 
 from rcs.cli.main import main
 
@@ -73,6 +75,25 @@ def test_what_a_page_shows_runs_in_order(path: Path, tmp_path: Path, monkeypatch
             run_python(program, page)
         elif language == SHELL:
             run_shell(program)
+
+
+def test_other_readers_of_a_ledger_count_last_answers_and_no_repetitions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run_shell("rcs eval PickCuboid --episodes 2 --max-episode-steps 2 --workers 1 --out evaluation")
+    with Ledger("evaluation") as ledger:
+        one, other = ledger.rows.values()
+        assert (one.success, other.success) == (False, False)
+        assert ledger.add(replace(one, success=True, corrections=1))
+        assert ledger.add(replace(other, success=True, repeat=1))
+    page = ModuleType("page")
+    for _, program in snippets(ROOT / "docs" / "evaluation.md"):
+        if "ledger.jsonl" in program:
+            run_python(program, page)
+    found = vars(page)
+    assert found["rows"]["success"].tolist() == [False, True]
+    assert found["rates"].fetchall() == [("PickExpert", None, 0.5, 2)]
 
 
 @pytest.mark.parametrize("path", PAGES, ids=name_of)
