@@ -238,21 +238,26 @@ def test_checkpoints_of_a_training_are_swept_and_go_on(capsys: pytest.CaptureFix
 
 
 @pytest.mark.slow
-def test_a_server_ends_with_the_program_that_started_it_even_if_that_is_killed(tmp_path: Path) -> None:
+def test_a_server_and_its_children_end_with_the_program_that_started_it_even_if_that_is_killed(tmp_path: Path) -> None:
+    log = tmp_path / "log"
     program = (
         "import pathlib, time; from rcs.rollout.serving import ServerProcess\n"
-        f"server = ServerProcess(['sleep', '600'], pathlib.Path({str(tmp_path / 'log')!r}))\n"
-        "print(server._process.pid, flush=True); time.sleep(600)"
+        f"server = ServerProcess(['sh', '-c', 'sleep 600 & echo $$ $!; wait'], pathlib.Path({str(log)!r}))\n"
+        "print('started', flush=True); time.sleep(600)"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as starter:
         assert starter.stdout is not None
-        server = int(starter.stdout.readline())
-        assert is_alive(server)
+        assert starter.stdout.readline() == "started\n"
+        until = time.monotonic() + 20
+        while not log.read_text().endswith("\n") and time.monotonic() < until:
+            time.sleep(0.05)
+        processes = [int(word) for word in log.read_text().split()]
+        assert [is_alive(process) for process in processes] == [True, True]
         starter.kill()
     until = time.monotonic() + 20
-    while is_alive(server) and time.monotonic() < until:
+    while any(map(is_alive, processes)) and time.monotonic() < until:
         time.sleep(0.05)
-    assert not is_alive(server)
+    assert not any(map(is_alive, processes))
 
 
 def test_servers_at_a_time_have_a_gpu_each(command: str, trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import shlex
 import signal
@@ -26,10 +25,15 @@ PATIENCE = 180.0
 _PAUSE, _GRACE = 0.2, 10.0
 _TOLD = 15
 """Lines of a server's output that are told when it fails."""
+_WATCH = "import os, sys; sys.stdin.read(); os.killpg(int(sys.argv[1]), 9)"
+"""Program that kills a group of processes once the one that started it, and has the other end of its input, is gone."""
 
 
 class ServerProcess:
-    """A program that serves something at an address of this machine. It ends with this program, however that ends."""
+    """A program that serves something at an address of this machine.
+
+    It ends with this program, however that ends, and its children with it: also where it is a shell, or `conda run`.
+    """
 
     def __init__(self, words: Sequence[str], log: Path, *, gpu: str | None = None) -> None:
         """Start it.
@@ -44,10 +48,9 @@ class ServerProcess:
         """
         port = _free_port()
         words = [word.replace("{port}", str(port)) for word in words]
-        self.address, self._log, parent = f"vla://127.0.0.1:{port}", log, os.getpid()
+        self.address, self._log = f"vla://127.0.0.1:{port}", log
         """Where it listens, once it does."""
         environment = os.environ if gpu is None else {**os.environ, VARIABLE: gpu}
-        libc = ctypes.CDLL(None)  # before the fork, after which nothing may be loaded
         with log.open("ab") as output:
             try:
                 self._process = subprocess.Popen(
@@ -57,10 +60,13 @@ class ServerProcess:
                     stdout=output,
                     stderr=subprocess.STDOUT,
                     start_new_session=True,
-                    preexec_fn=lambda: _die_with(parent, libc),
                 )
             except OSError as err:
                 raise InvalidSetup(f"Could not start {words[0]!r}: {err.strerror or err}.") from err
+        watch = [sys.executable, "-ISc", _WATCH, str(self._process.pid)]
+        self._watch = subprocess.Popen(
+            watch, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        )
 
     def wait(self, ask: Callable[[], T], patience: float) -> T:
         """Return what a call returns, once it answers.
@@ -101,6 +107,8 @@ class ServerProcess:
                 self._process.wait(grace)
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
+        self._watch.kill()  # while the number of the group is not given to another one
+        self._watch.communicate()
         self._process.wait()
 
 
@@ -132,14 +140,6 @@ def serving(command: str, checkpoint: Path, log: Path, *, patience: float = PATI
             yield server.address
         finally:
             server.end()
-
-
-def _die_with(parent: int, libc: ctypes.CDLL) -> None:
-    """Make Linux kill the server when the evaluation dies."""
-    if sys.platform == "linux":
-        libc.prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG of linux/prctl.h
-        if os.getppid() != parent:
-            os._exit(1)
 
 
 def _free_port() -> int:
