@@ -60,6 +60,14 @@ def tiny(folder: Path, task: str = "near", **options: str) -> ForeignSimulator:
     return ForeignSimulator(name=name, python=Path(sys.executable), options=options, timeout=timeout, log=log)
 
 
+def served(folder: Path) -> ServerProcess:
+    """Return a simulator that is served at an address, and listens."""
+    words = [sys.executable, "-m", "vlagents.cli", "simulate", "tiny_simulator:Reach:near", "--port", "{port}"]
+    server = ServerProcess(words, folder / "log")
+    server.wait(lambda: ForeignEnv(ForeignSimulator(name=server.address)).close(), 60.0)
+    return server
+
+
 def run(simulator: ForeignSimulator, policy: ServedPolicy, out: Path | None = None, episodes: int = 3) -> Summary:
     env, summary = ForeignEnv(simulator), Summary()
     evaluation = Evaluation(setup=env.setup, simulator=simulator, agent=policy, episodes=episodes, out=out)
@@ -107,6 +115,45 @@ def test_a_simulator_that_fails_gives_an_episode_without_a_verdict_and_the_next_
         (None, "simulator", "nobody"),
         (True, None, "task"),
     ]
+
+
+def test_a_simulator_that_is_gone_ends_the_run_and_its_episodes_are_left_to_be_run(
+    tmp_path: Path, policy: ServedPolicy
+) -> None:
+    out, server = tmp_path / "ledger", served(tmp_path)
+    try:
+        simulator = ForeignSimulator(name=server.address, timeout=2.0)
+        env = ForeignEnv(simulator)
+        evaluation = Evaluation(setup=env.setup, simulator=simulator, agent=policy, episodes=3, out=out)
+        attempts = evaluate(evaluation, env=env)
+        assert next(attempts).result.success
+        server.end(grace=0.0)
+        with pytest.raises(RcsError, match=r"tiny:near is gone, so this episode was not begun.*ConnectionLost"):
+            list(attempts)
+    finally:
+        server.end()
+    assert [row.success for row in Ledger(out).rows.values()] == [True]
+    server = served(tmp_path)
+    try:
+        env = ForeignEnv(simulator := replace(simulator, name=server.address))
+        list(evaluate(replace(evaluation, simulator=simulator), env=env))
+    finally:
+        server.end()
+    assert [row.success for row in Ledger(out).rows.values()] == [True] * 3
+
+
+def test_a_simulator_of_ones_own_that_does_not_start_again_ends_the_run(tmp_path: Path, policy: ServedPolicy) -> None:
+    source = tmp_path / "tiny_simulator.py"
+    source.write_text((TINY / source.name).read_text())
+    bad = Evaluation(setup=Setup("tiny:near")).seed_of(0) % (1 << 31)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(tmp_path))
+        env = ForeignEnv(simulator := tiny(tmp_path, fault="die", bad_seed=str(bad), at="4"))
+        source.write_text("1 / 0")
+        evaluation = Evaluation(setup=env.setup, simulator=simulator, agent=policy, out=tmp_path / "ledger")
+        with pytest.raises(RcsError, match=r"(?s)tiny:near is gone, .*ZeroDivisionError"):
+            list(evaluate(evaluation, env=env))
+    assert [row.failure for row in Ledger(tmp_path / "ledger").rows.values()] == ["simulator"]
 
 
 @pytest.fixture(scope="module")
@@ -186,10 +233,8 @@ def test_actions_are_checked_and_episodes_end_as_elsewhere(tmp_path: Path) -> No
 
 
 def test_a_simulator_at_an_address_is_left_running(tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "vlagents.cli", "simulate", "tiny_simulator:Reach:near", "--port", "{port}"]
-    server = ServerProcess(words, tmp_path / "log")
+    server = served(tmp_path)
     try:
-        server.wait(lambda: ForeignEnv(ForeignSimulator(name=server.address)).close(), 60.0)
         env = ForeignEnv(ForeignSimulator(name=server.address, timeout=2.0))
         env.reset(0)
         server.end(grace=0.0)

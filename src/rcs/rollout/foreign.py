@@ -111,19 +111,40 @@ class Connection:
         client = self._open()
         self.facts, self.mapping, self.offer = client.facts, client.mapping, client.offer
 
+    def begin(self, seed: int) -> Moment:
+        """Begin an episode; a simulator that was lost before is started, or connected to, again.
+
+        Raises:
+            SimulationError: As `call`.
+            RcsError: It does not start or cannot be reached again, or is another one now.
+        """
+        if self._client is not None:
+            try:
+                return self.call(lambda client: client.begin(seed))
+            except SimulationError as err:
+                if not isinstance(err.__cause__, vlagents().ConnectionLost):
+                    raise
+        try:
+            if self._open().facts != self.facts:
+                self.close(must_end=True)
+                raise RcsError("Another simulator, or another version, is there now.")
+        except RcsError as err:
+            raise RcsError(
+                f"The simulator {self.facts.name} is gone, so this episode was not begun; start it, and run the same "
+                f"again to go on. {err}"
+            ) from err
+        return self.call(lambda client: client.begin(seed))
+
     def call(self, act: Callable[[SimulatorClient], Moment]) -> Moment:
         """Return the answer to a call.
 
         Raises:
             SimulationError: The simulator failed in any way: it died, was late, raised an error, or sent nonsense.
         """
-        errors = vlagents().VlagentsError, OSError
+        assert self._client is not None, "an episode has begun"
         try:
-            client = self._client or self._open()
-            if client.facts != self.facts:
-                raise RcsError("Another simulator, or another version, is at the address now")
-            return act(client)
-        except (RcsError, *errors) as err:
+            return act(self._client)
+        except (vlagents().VlagentsError, OSError) as err:
             self.close(must_end=True)
             raise SimulationError(f"{self.facts.name}: {type(err).__name__}: {err}") from err
 
@@ -230,7 +251,7 @@ class ForeignEnv(Env):
     """A task of another project's simulator. Its reward and its verdict are the simulator's.
 
     A simulator that dies, is late or sends numbers that are not finite raises `SimulationError`; the next reset starts
-    it, or connects, again.
+    it, or connects, again, and raises `RcsError` if that fails.
     """
 
     def __init__(self, simulator: ForeignSimulator) -> None:
@@ -268,13 +289,14 @@ class ForeignEnv(Env):
             WrongOrder: The environment is closed.
             InvalidSetup: There are options, or the seed is out of range.
             SimulationError: The simulator failed.
+            RcsError: It does not start or cannot be reached again, or is another one now.
         """
         if options:
             raise InvalidSetup(f"The reset options are {options!r}; a simulator of another project has none.")
         if self._is_closed:
             raise WrongOrder("reset was called on a closed environment; make a new one.")
         chosen = (int(self.np_random_seed) + 1) % SEED_LIMIT if seed is None else check_seed(seed)
-        self._port.moment = self._connection.call(lambda client: client.begin(chosen))
+        self._port.moment = self._connection.begin(chosen)
         observation, info = super().reset(chosen)
         return observation, {**info, "success": self._port.moment.success}
 
