@@ -6,6 +6,7 @@ import importlib.util
 import sys
 import threading
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -62,6 +63,7 @@ def test_a_served_policy_is_run_recorded_and_reported(
     (condition,) = ledger.conditions.values()
     assert (condition.agent, condition.weights, condition.execution["mode"]) == ("scripted pick", None, "rtc")
     assert ledger.place(condition.hash) == address
+    assert condition.versions["rcs-vlagents"] == version("rcs-vlagents")
     rows = list(ledger.rows.values())
     assert [row.seed for row in rows] == [UNSEEN + seed_of(3, number) for number in range(2)]
     assert [(row.latency_p50, row.latency_p99) for row in rows] == [(0.1, 0.1)] * 2

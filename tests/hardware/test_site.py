@@ -70,6 +70,18 @@ def test_a_file_that_is_no_site_is_refused(text: str, match: str, tmp_path: Path
         Site.read(tmp_path / "lab.json")
 
 
+def test_options_of_a_device_are_in_the_hash_of_its_site() -> None:
+    def hash_of(**options: Any) -> str | None:
+        arm = {"driver": f"{__name__}:WithOptions", "address": "a", "options": options}
+        with rcs.make("Free", end_effector="none", hardware=Site(arms={"fr3": arm})) as env:
+            return env.site
+
+    assert hash_of() == hash_of()
+    assert len({hash_of(), hash_of(mass=1.0), hash_of(mass=2.0), None}) == 4
+    with rcs.make("Free") as env:
+        assert env.site is None
+
+
 def test_a_device_itself_goes_into_no_file(tmp_path: Path) -> None:
     with pytest.raises(InvalidSetup, match="fr3"):
         Site(arms={"fr3": home_arm()}).write(tmp_path / "lab.json")
@@ -127,6 +139,13 @@ def test_one_arm_is_not_two() -> None:
 )
 def test_a_class_in_a_module_is_a_driver_wherever_a_name_is(text: str, driver: str, address: str) -> None:
     assert DeviceAddress.parse(text, "fr3") == DeviceAddress(driver=driver, address=address)
+
+
+class WithOptions(FakeDriver):
+    """Takes any option."""
+
+    def arm(self, address: str, about: Any, options: Any) -> FakeArm:
+        return super().arm(address, about, {})
 
 
 class Bare(Driver):

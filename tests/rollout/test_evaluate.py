@@ -187,6 +187,18 @@ def test_another_calibration_in_the_same_file_is_another_condition(tmp_path: Pat
     assert len(hashes) == 2
 
 
+def test_another_site_is_another_condition_and_a_camera_that_is_not_used_is_none() -> None:
+    evaluation = Evaluation(setup=rcs.Setup(task="Free", frequency=30.0), agent=Stay)
+
+    def hash_of(address: str = "192.0.2.1", **others: Any) -> str:
+        site = rcs.Site(arms={"fr3": f"fake:{address}"}, grippers={"fr3": "fake:a"}, **others)
+        with rcs.make(evaluation.setup, hardware=site) as env:
+            return condition_of(evaluation, identity_of(Stay, "Free"), env).hash
+
+    assert hash_of() == hash_of() == hash_of(cameras={"wrist": "fake:b"})
+    assert len({hash_of(), hash_of("192.0.2.2"), hash_of(stale_after=1.0)}) == 3
+
+
 def test_a_film_of_an_episode_that_a_person_judged_is_compared_by_what_was_done(tmp_path: Path) -> None:
     summary = Summary()
     evaluation = Evaluation(setup=SETUP, agent=Stay, episodes=2, out=tmp_path)

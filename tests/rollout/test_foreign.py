@@ -170,6 +170,7 @@ def test_the_setup_has_the_mapping_and_all_that_decides_what_happens(tmp_path: P
     assert (setup.frequency, setup.control, setup.relative) == (20.0, "xyzrpy", "last_step")
     mapping = setup.task_options["mapping"]
     assert mapping["images"][0]["flip"] == "rows"
+    assert setup.task_options["versions"].keys() == {"tiny", "sources"}
     other = tmp_path / "mapping.json"
     other.write_text(json.dumps({**mapping, "wait": 5}))
     with ForeignEnv(replace(tiny(tmp_path), mapping=other)) as env:

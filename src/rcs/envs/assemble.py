@@ -99,6 +99,7 @@ def assemble(
         setup=setup,
         robots=parts.robots,
         platform={**dict.fromkeys(simulated, "simulation"), **devices.platform},
+        site=devices.site,
         instruction=parts.task.instruction,
         max_episode_steps=setup.max_episode_steps,
         observers=parts.observers,

@@ -69,6 +69,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         setup: Setup | None = None,
         robots: Sequence[RobotPlacement] = (),
         platform: Mapping[str, str] | None = None,
+        site: str | None = None,
         instruction: str | None = None,
         max_episode_steps: int | None = None,
         observers: Sequence[Observer] = (),
@@ -85,6 +86,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             setup: The setup; None for an environment that is put together by hand.
             robots: Its robots, simulated or real; None for those of the simulation.
             platform: Origin of every robot, `robot/end effector` and camera: `simulation`, or the name of a driver.
+            site: Hash of what a site says of the real ones; None without a site.
             instruction: Instruction for the robot; None for that of the task.
             max_episode_steps: An episode is truncated after this many steps; None for no limit.
             observers: See every step.
@@ -117,6 +119,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         """Descriptions of the robots and where they stand, by name."""
         self.platform = dict(platform or dict.fromkeys(self.robots, "simulation" if simulation else "hardware"))
         """Origin of every robot, end effector and camera: `simulation`, or the name of a driver."""
+        self.site = site
+        """Hash of what a site says of the real ones: drivers, addresses, options and times; None without a site."""
         self._picture = picture
         self._title = title
         self._pictures: list[NDArray[np.uint8]] = []

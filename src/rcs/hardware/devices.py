@@ -29,6 +29,8 @@ class Devices:
     translation [m] and quaternion xyzw."""
     platform: Mapping[str, str] = field(default_factory=dict[str, str])
     """Driver name of every real part: a robot, `robot/end effector`, a camera or a sensor."""
+    site: str | None = None
+    """SHA-256 of what the site says of them: drivers, addresses, options and times; None without any."""
     valid_for: float | None = None
     """Time for which a command is valid without a new one [s]; None for three control periods."""
     stale_after: float = 0.5

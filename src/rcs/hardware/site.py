@@ -12,6 +12,7 @@ A site file is JSON, with an entry per real device under the name of its robot o
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import importlib.util
 import json
 import math
@@ -241,7 +242,7 @@ class Site:
         effectors: dict[str, Gripper | Hand] = {}
         views: dict[str, Camera] = {}
         skins: dict[str, Camera] = {}
-        platform: dict[str, str] = {}
+        used: dict[str, AnyDevice] = {}
         drivers: dict[str, Driver] = {}
         for kind in ("arms", "grippers", "hands"):
             for name, given in getattr(self, kind).items():
@@ -251,7 +252,7 @@ class Site:
                 if kind == "arms":
                     pliant = _giving_way(drivers, given, name, (compliance or {}).get(name))
                     arms[name] = _made(drivers, pliant, "arm", arm)
-                    platform[name] = _platform(given)
+                    used[name] = given
                     continue
                 wanted = GripperDescription if kind == "grippers" else HandDescription
                 if not isinstance(effector, wanted):
@@ -259,16 +260,16 @@ class Site:
                         f"The site has {kind} for {name!r}, which carries {getattr(effector, 'name', None)}."
                     )
                 effectors[name] = _made(drivers, given, kind[:-1], effector)
-                platform[f"{name}/{effector.name}"] = _platform(given)
+                used[f"{name}/{effector.name}"] = given
         # A site may have more cameras and sensors than a setup uses.
         for name, (about, mode) in cameras.items():
             if (given := self.cameras.get(name)) is not None:
                 views[name] = _made(drivers, given, "camera", about, mode)
-                platform[name] = _platform(given)
+                used[name] = given
         for name, skin in (tactile or {}).items():
             if (given := self.tactile.get(name)) is not None:
                 skins[name] = _made(drivers, given, "tactile", skin, CameraMode(*skin.frame_size, skin.rate, False))
-                platform[name] = _platform(given)
+                used[name] = given
         return Devices(
             arms=arms,
             tcp={
@@ -279,12 +280,22 @@ class Site:
             effectors=effectors,
             cameras=views,
             tactile=skins,
-            platform=platform,
+            platform={name: _platform(given) for name, given in used.items()},
+            site=self._hash(used) if used else None,
             valid_for=self.valid_for,
             stale_after=self.stale_after,
             arm_stale_after=self.arm_stale_after,
             on_stale=self.on_stale,
         )
+
+    def _hash(self, used: Mapping[str, AnyDevice]) -> str:
+        """Return the SHA-256 of all that the site says of the devices that a setup uses, by their names."""
+        told = {
+            name: dataclasses.asdict(given) if isinstance(given, DeviceAddress) else _platform(given)
+            for name, given in used.items()
+        }
+        times = self.valid_for, self.stale_after, self.arm_stale_after, self.on_stale
+        return hashlib.sha256(json.dumps([told, times], sort_keys=True, default=repr).encode()).hexdigest()
 
 
 def places_of(site: Site) -> list[Place]:

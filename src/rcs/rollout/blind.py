@@ -69,7 +69,7 @@ def evaluate_blind(
     assert out is not None
     who = "task" if judge is None else "person"
     identities = [identity_of(one.agent, one.setup.task) for one in evaluations]
-    true = [condition_of(one, who, env.platform) for one, who in zip(evaluations, identities, strict=True)]
+    true = [condition_of(one, who, env) for one, who in zip(evaluations, identities, strict=True)]
     if true[0].hash == true[1].hash:
         raise InvalidSetup(f"Both policies are {true[0].agent} with the same weights; there is nothing to compare.")
     with ExitStack() as stack:

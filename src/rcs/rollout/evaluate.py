@@ -238,7 +238,7 @@ def correct(book: Logbook | None, summary: Summary, place: int, answer: Answer) 
 
 def _logbook(evaluation: Evaluation, summary: Summary, env: Env | None, judge: Judge | None) -> Logbook:
     identity = summary.identity = identity_of(evaluation.agent, evaluation.setup.task)
-    condition = condition_of(evaluation, identity, None if env is None else env.platform)
+    condition = condition_of(evaluation, identity, env)
     summary.condition = condition.hash
     return Logbook(evaluation, identity, condition, "task" if judge is None else "person")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+import importlib.metadata
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -16,6 +17,7 @@ from rcs_data.ledger.condition import key_of, named
 
 from rcs.agents.identity import Identity, code_of
 from rcs.devices import lookup
+from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import versions
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, RcsError
@@ -25,24 +27,26 @@ from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.setups.resolve import resolve, with_camera_names
 
 
-def condition_of(evaluation: Evaluation, identity: Identity, platform: Mapping[str, str] | None = None) -> Condition:
+def condition_of(evaluation: Evaluation, identity: Identity, env: Env | None = None) -> Condition:
     """Return what the episodes of an evaluation share.
 
     Args:
         evaluation: The evaluation.
         identity: Who acts.
-        platform: Drivers by the robot's name, as of the environment; None for simulation.
+        env: The environment, if its devices are real; None for simulation.
 
     Raises:
         UnknownName: The setup names something that is not there.
         InvalidSetup: Its parts do not fit each other.
     """
-    setup, own = evaluation.setup, list[str]()
+    setup, own, software = evaluation.setup, list[str](), versions()
     if evaluation.simulator is None:
         setup = with_camera_names(setup)
         resolve(setup)  # before anything is written
         own = list(_modules(setup))
-    real = {name: driver for name, driver in (platform or {}).items() if driver != "simulation"}
+    if identity.policy or evaluation.simulator is not None:
+        software["rcs-vlagents"] = importlib.metadata.version("rcs-vlagents")
+    platform = {} if env is None else env.platform
     return Condition(
         agent=evaluation.name or identity.name,
         weights=identity.weights,
@@ -53,10 +57,10 @@ def condition_of(evaluation: Evaluation, identity: Identity, platform: Mapping[s
         task=setup.task,
         robot=setup.robot_label,
         setup=setup.to_json(),
-        platform=real,
+        platform={name: driver for name, driver in platform.items() if driver != "simulation"},
         tags=evaluation.tags,
-        code={**code_of([*identity.modules, *own]), **_files(setup)},
-        versions=versions(),
+        code={**code_of([*identity.modules, *own]), **_files(setup), **_site(env)},
+        versions=software,
     )
 
 
@@ -64,6 +68,11 @@ def _files(setup: Setup) -> dict[str, str]:
     """Return the hashes of files that a setup names, whose contents may change."""
     path = setup.cameras.calibration
     return {} if path is None else {"cameras.calibration": hashlib.sha256(Path(path).read_bytes()).hexdigest()}
+
+
+def _site(env: Env | None) -> dict[str, str]:
+    """Return the hash of what a site says of real devices, whose drivers alone are in the platform."""
+    return {} if env is None or env.site is None else {"site": env.site}
 
 
 def _modules(setup: Setup) -> Iterator[str]:

@@ -102,6 +102,20 @@ def test_a_mapping_survives_json_and_every_field_is_part_of_it(served: Server) -
     assert set(mapping.to_dict()) == set(SimulatorMapping.__dataclass_fields__)
 
 
+def test_a_change_of_the_source_of_a_simulator_changes_its_facts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    source = tmp_path / "own_simulator.py"
+    source.write_text(Path(__file__).with_name("tiny_simulator.py").read_text())
+    one, same = load("own_simulator:Reach:near").facts, load("own_simulator:Reach:near").facts
+    source.write_text(f"{source.read_text()}\n# a change\n")
+    other = load("own_simulator:Reach:near").facts
+    assert one == same
+    assert one.versions["tiny"] == other.versions["tiny"]
+    assert one != other
+
+
 @given(st.lists(st.floats(-1.4, 1.4), min_size=3, max_size=3))
 def test_rotations_are_the_same_in_every_form(rpy: list[float]) -> None:
     def about(axis: int, angle: float) -> np.ndarray:

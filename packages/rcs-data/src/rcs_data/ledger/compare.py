@@ -130,11 +130,11 @@ def _compared(
     a: str, b: str, rows_a: Sequence[Row], rows_b: Sequence[Row], one: Condition, other: Condition
 ) -> Comparison:
     pairs = pairs_of(rows_a, rows_b)
-    # A module that one agent alone has is its own.
+    # A module or package that one agent alone has is its own.
     found = {
         name: (ours, theirs)
         for name, (ours, theirs) in one.differences(other).items()
-        if name.partition(".")[0] not in _OWN and not (name.startswith("code.") and None in (ours, theirs))
+        if name.partition(".")[0] not in _OWN and not (name.startswith(("code.", "versions.")) and None in (ours, theirs))
     }
     return Comparison(
         a=a,

@@ -40,7 +40,7 @@ class Condition(Record):
     tags: Mapping[str, str] = field(default_factory=dict[str, str])
     """Words of the user, such as `{"mix": "half real"}`."""
     code: Mapping[str, str] = field(default_factory=dict[str, str])
-    """SHA-256 of the source of modules that take part, by name."""
+    """SHA-256 of the source of modules that take part, of files, and of what a site says of real devices, by name."""
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
     """Versions of the software."""
 

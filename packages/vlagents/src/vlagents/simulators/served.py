@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import inspect
 import json
+import sys
+import uuid
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,8 +44,9 @@ class ServedSimulator(Policy):
         """Make a simulator, in its thread."""
         self._thread = ThreadPoolExecutor(1, "vlagents simulator")
         self._simulator = self._thread.submit(make).result()
-        self.facts = self._simulator.facts
-        """What the simulator says about itself."""
+        facts = self._simulator.facts
+        self.facts = replace(facts, versions={**facts.versions, "sources": _sources(self._simulator)})
+        """What the simulator says about itself, and the hash of its sources among the versions."""
         self._mapping = self.facts.mapping
         self._opened = self._steps = 0
         self._is_closed = False
@@ -138,6 +144,17 @@ def load(name: str, options: Mapping[str, str] | None = None) -> ServedSimulator
         return ServedSimulator(lambda: make(task, **{option: _value(text) for option, text in given.items()}))
     except ModuleNotFoundError as error:
         raise MissingSimulator(head, str(error.name)) from error
+
+
+def _sources(simulator: Simulator) -> str:
+    """Return 16 digits of the SHA-256 of a simulator's module and of those here; new ones for a module without file."""
+    own = getattr(sys.modules[type(simulator).__module__], "__file__", None)
+    if own is None:
+        return uuid.uuid4().hex[:16]
+    digest = hashlib.sha256()
+    for path in (Path(own), *sorted(Path(__file__).parent.glob("*.py"))):
+        digest.update(f"{path.name}\n".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def _value(text: str) -> Any:
