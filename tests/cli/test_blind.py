@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset
 from rcs_data.ledger import Ledger
 from rcs_data.ledger.compare import compare
 from vlagents import Metadata, PartSpec, Server
@@ -138,6 +139,24 @@ def test_no_name_is_anywhere_before_it_is_revealed_and_no_answer_is_lost(
         assert ledger.condition(ledger.find(name)).data == f"{name}data"
         assert len(ledger.of(ledger.find(name))) == 4
     assert call(capsys, "unblind", str(out))[0] == 0, "twice is harmless"
+
+
+def test_recordings_have_the_keys_of_the_letters_and_no_name(
+    capsys: pytest.CaptureFixture[str], addresses: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, data, answers = tmp_path / "out", tmp_path / "data", iter(["y", "n", "?", "y"])
+    monkeypatch.setattr("builtins.input", lambda _="": next(answers))
+    words = (
+        "run", "--policy", addresses[0], "--blind", addresses[1], "--hardware", "fake", "--judge", "--task", "Free",
+        "--frequency", "30", "--cameras", "none", "--episodes", "2", "--max-episode-steps", "5",
+    )  # fmt: skip
+    code, told = call(capsys, *words, "--out", str(out), "--record", str(data))
+    assert code == 0, told
+    recorded = {episode.id.partition("-")[2]: episode.success for episode in Dataset.open(data).episodes}
+    assert recorded == {row.key: row.success for row in Ledger(out).rows.values()}
+    assert list(recorded.values()).count(True) == 2
+    for path in [path for path in data.rglob("*") if path.is_file()]:
+        assert not any(secret.encode() in path.read_bytes() for secret in (*NAMES, *addresses)), path
 
 
 def test_a_policy_that_fails_is_not_named_in_the_log(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Generator, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -28,6 +28,7 @@ from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.policy import NOTES, Execution, ServedPolicy, fitted
 from rcs.rollout.blind import evaluate_blind
+from rcs.rollout.collect import Attempt
 from rcs.rollout.evaluate import evaluate
 from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.foreign import ForeignEnv
@@ -137,7 +138,6 @@ class RunCommand(SetupOptions):
         """Compare two policies blindly, and return the exit code."""
         if (
             wrong := ["simulator"] * (self.simulation.simulator is not None)
-            + ["record"] * (self.record is not None)
             + ["videos"] * bool(self.ledger.videos)
             + [name for name in ("name", "against", "until") if ledger[name] is not None]
         ):
@@ -148,9 +148,10 @@ class RunCommand(SetupOptions):
         with (
             interruptible(summary, console),
             make(setup, hardware=self.hardware) as env,
+            self._recorder(env) as recorder,
             self._person(env, console) as judge,
         ):
-            for attempt in evaluate_blind(evaluations, summary, env, judge=judge):
+            for attempt in evaluate_blind(evaluations, summary, env, judge=judge, recorder=recorder):
                 told = _WORDS[attempt.result.success]
                 console.print(f"Episode {len(summary.attempts)} of {2 * len(one.numbers)}: {told}")
             if judge is not None and not summary.is_interrupted:
@@ -160,21 +161,23 @@ class RunCommand(SetupOptions):
         console.print(f"`rcs unblind {self.ledger.out}` says who X and Y are.", soft_wrap=True)
         return INTERRUPTED if summary.is_interrupted else 0
 
-    @contextmanager
-    def _person(self, env: Env, console: Console) -> Generator[PersonJudge | None]:
-        """Yield who judges, at the terminal or on a page; None if nobody does."""
+    def _person(self, env: Env, console: Console) -> AbstractContextManager[PersonJudge | None]:
+        """Return who judges; None if nobody does."""
         if not self.judge and self.page is None:
+            return nullcontext()
+        return person(env, console, self.page, is_real=self.hardware is not None, can_undo=self.record is None)
+
+    @contextmanager
+    def _recorder(self, env: Env, **origin: Any) -> Generator[Recorder | None]:
+        """Yield what records every episode; None without a dataset."""
+        if self.record is None:
             yield None
             return
-        with ExitStack() as stack:
-            outlines = None if self.hardware is None else stack.enter_context(Outlines(env.setup))
-            ask: Asker = ask_at_terminal
-            if self.page is not None:
-                host, port = _host_and_port(self.page)
-                page = stack.enter_context(JudgePage(env, outlines, host=host, port=port))
-                console.print(f"Open {page.url} in a browser to judge.", soft_wrap=True)
-                ask = page.ask
-            yield PersonJudge(ask, outlines=outlines, can_undo=self.record is None)
+        info = dataset_info(env, instruction=self.instruction, notes=NOTES)
+        with DatasetWriter.open(self.record, replace(info, origin={**info.origin, **origin}), resume=True) as writer:
+            recorder = Recorder(writer)
+            env.add_observer(recorder)
+            yield recorder
 
     def _served(self, address: str) -> ServedPolicy:
         if "://" not in address:
@@ -190,26 +193,53 @@ class RunCommand(SetupOptions):
 
     def _episodes(self, evaluation: Evaluation, summary: Summary, console: Console, foreign: ForeignEnv | None) -> None:
         env = make(evaluation.setup, hardware=self.hardware) if foreign is None else foreign
-        with env, ExitStack() as stack:
-            recorder = None
-            if self.record is not None:
-                info = dataset_info(env, instruction=self.instruction, notes=NOTES)
-                identity = identity_of(evaluation.agent, evaluation.setup.task)
-                origin: dict[str, Any] = {**info.origin, "policy": identity.name, "weights": identity.weights}
-                writer = DatasetWriter.open(self.record, replace(info, origin=origin), resume=True)
-                recorder = Recorder(stack.enter_context(writer))
-                env.add_observer(recorder)
-            judge = stack.enter_context(self._person(env, console))
+        identity = identity_of(evaluation.agent, evaluation.setup.task)
+        with (
+            env,
+            self._recorder(env, policy=identity.name, weights=identity.weights) as recorder,
+            self._person(env, console) as judge,
+        ):
             attempts = evaluate(evaluation, summary, env=env, judge=judge, recorder=recorder)
-            if judge is not None:  # a bar would write over the question
-                for attempt in attempts:
-                    told = _WORDS[attempt.result.success]
-                    console.print(f"Episode {attempt.number + 1} of {len(evaluation.numbers)}: {told}")
-                if not summary.is_interrupted:
-                    judge.end()
+            if judge is not None:
+                ask_about(attempts, len(evaluation.numbers), summary, judge, console)
                 return
             title = f"{evaluation.setup.task} on {evaluation.setup.robot_label}"
             show(attempts, title, len(evaluation.numbers), console, summary)
+
+
+@contextmanager
+def person(
+    env: Env, console: Console, page: str | None, *, is_real: bool = True, can_undo: bool = True
+) -> Generator[PersonJudge]:
+    """Yield a person who judges episodes, at the terminal or on a page.
+
+    Args:
+        env: The environment.
+        console: Where the page's address is printed.
+        page: `HOST:PORT` of the page; None for the terminal.
+        is_real: Whether the person puts objects where an episode needs them.
+        can_undo: Whether an answer can be taken back.
+    """
+    with ExitStack() as stack:
+        outlines = stack.enter_context(Outlines(env.setup)) if is_real else None
+        ask: Asker = ask_at_terminal
+        if page is not None:
+            host, port = _host_and_port(page)
+            shown = stack.enter_context(JudgePage(env, outlines, host=host, port=port))
+            console.print(f"Open {shown.url} in a browser to judge.", soft_wrap=True)
+            ask = shown.ask
+        yield PersonJudge(ask, outlines=outlines, can_undo=can_undo)
+
+
+def ask_about(
+    attempts: Iterator[Attempt], total: int, summary: Summary, judge: PersonJudge, console: Console
+) -> None:
+    """Go through attempts that a person judges, and print each answer: a bar would write over the questions."""
+    for attempt in attempts:
+        told = _WORDS[attempt.result.success]
+        console.print(f"Episode {attempt.number + 1} of {total}: {told}")
+    if not summary.is_interrupted:
+        judge.end()
 
 
 def _host_and_port(text: str) -> tuple[str, int]:
