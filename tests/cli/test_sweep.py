@@ -121,6 +121,48 @@ def test_served_checkpoints_are_evaluated_the_best_again_and_no_server_is_left(
     assert (out / "ledger.jsonl").read_bytes() == before
 
 
+STAY = """
+    import sys, threading
+    import numpy as np
+    from pathlib import Path
+    from vlagents import Metadata, PartSpec, Server
+    from vlagents.policies.scripted import ScriptedPolicy
+    joints, gripper = PartSpec("joints", 7, "rad"), PartSpec("gripper", 1, "0 closed, 1 open")
+    told = Metadata(name="stay", checkpoint_hash=Path(sys.argv[1], "weights").read_text(), state=(joints,),
+                    action=(joints, gripper), rate=30.0, horizon=8)
+    def act(seen, _):
+        return np.hstack([np.tile(seen.state["joints"], (8, 1)), np.ones((8, 1))])
+    server = Server(ScriptedPolicy(act, told), port=int(sys.argv[2])).start()
+    threading.Event().wait()
+"""
+
+
+def test_real_episodes_follow_the_simulated_ones_of_each_checkpoint(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, trained: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program, out = tmp_path / "stay.py", tmp_path / "out"
+    program.write_text(textwrap.dedent(STAY))
+    answers = iter(["y", "n", "", "n", "u", "y", "?", ""])
+    monkeypatch.setattr("builtins.input", lambda _="": next(answers))
+    words = (
+        str(trained), "--serve", f"{sys.executable} {program} {{checkpoint}} {{port}}", "--task", "Free",
+        "--frequency", "30", "--cameras", "none", "--max-episode-steps", "5", "--episodes", "3",
+        "--hardware", "fake", "--real-episodes", "2", "--out", str(out),
+    )  # fmt: skip
+    for _ in range(2):
+        code, told = call(capsys, *words)
+        assert code == 0, told
+    rows = list(Ledger(out).rows.values())
+    found = [(row.agent, row.is_real, row.success) for row in rows]
+    simulated, real = [found[i : i + 3] for i in (0, 5, 10)], [found[i : i + 2] for i in (3, 8)]
+    assert simulated == [[(name, False, None)] * 3 for name in ("act@1000", "act@2000", "act@2000 again")]
+    assert real == [
+        [("act@1000", True, True), ("act@1000", True, False)],
+        [("act@2000", True, True), ("act@2000", True, None)],
+    ]
+    assert [row.seed for row in rows[3:5]] == [row.seed for row in rows[:2]]
+
+
 CLAIM = """
     import sys
     from rcs_data.ledger import Ledger
@@ -198,6 +240,7 @@ def test_what_is_wrong_with_a_run_or_a_command_is_said(
     for words, sentence in [
         ((str(tmp_path / "none"),), "There is no checkpoint in"),
         ((str(trained),), "is a checkpoint of LeRobot; say by --serve"),
+        ((str(trained), "--page", "127.0.0.1:8080"), "name these by hardware"),
         ((str(trained), "--serve", "python -m mine {port}"), "has no {checkpoint}"),
         ((str(trained), "--serve", "/nothing/here {checkpoint} {port}"), "Could not start '/nothing/here'"),
         ((str(trained), "--serve", f"{sys.executable} -c 1/0 {{checkpoint}} {{port}}"), "ZeroDivisionError"),

@@ -231,9 +231,7 @@ def person(
         yield PersonJudge(ask, outlines=outlines, can_undo=can_undo)
 
 
-def ask_about(
-    attempts: Iterator[Attempt], total: int, summary: Summary, judge: PersonJudge, console: Console
-) -> None:
+def ask_about(attempts: Iterator[Attempt], total: int, summary: Summary, judge: PersonJudge, console: Console) -> None:
     """Go through attempts that a person judges, and print each answer: a bar would write over the questions."""
     for attempt in attempts:
         told = _WORDS[attempt.result.success]

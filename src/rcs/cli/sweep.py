@@ -16,13 +16,16 @@ from rcs_data.ledger.condition import key_of
 from rcs_data.read.verdicts import Verdicts
 from rich.console import Console
 
-from rcs.cli.run import fitted_setup
+from rcs.cli.run import ask_about, fitted_setup, person
 from rcs.cli.runs import LedgerOptions, PoolOptions, attempts_of, interruptible, show, tell
 from rcs.cli.setup_options import SetupOptions, changed
+from rcs.envs.env import Env
 from rcs.errors import InvalidSetup
 from rcs.policy import Execution, ServedPolicy
+from rcs.rollout.evaluate import evaluate
 from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.serving import serving
+from rcs.setups.make import make
 
 CHECKPOINTS, DESCRIPTION, LAST, WEIGHTS = "checkpoints", "checkpoint.json", "last", "pretrained_model"
 """Names in the folders of runs: ours have a description; those of LeRobot a link to the last whole one, and weights."""
@@ -55,6 +58,14 @@ class SweepCommand(SetupOptions):
     execution: Annotated[Execution, tyro.conf.OmitArgPrefixes] = field(default_factory=Execution)
     episodes: int = 100
     """Number of episodes of each checkpoint."""
+    hardware: str | None = None
+    """What is real in further episodes of each checkpoint, after the simulated ones: the JSON file of a site, or
+    `driver:address` for all arms with their end effectors. Who watches them is asked how each went, as by `rcs run
+    --judge`."""
+    real_episodes: int = 20
+    """Number of these episodes, with the first seeds of the others."""
+    page: str | None = None
+    """Ask on a page in the browser instead of the terminal, at `HOST:PORT`, as `rcs run --page`."""
     follow: bool = False
     """Wait for more checkpoints until the training has made its last; of LeRobot's, until Ctrl-C."""
     pool: Annotated[PoolOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=PoolOptions)
@@ -65,6 +76,8 @@ class SweepCommand(SetupOptions):
         options, console = self.ledger.checked(), plain_console(soft_wrap=False)
         if not (found := checkpoints_in(self.training)) and not self.follow:
             raise InvalidSetup(f"There is no checkpoint in {self.training}; valid is the folder of a run.")
+        if self.page is not None and self.hardware is None:
+            raise InvalidSetup("page asks how episodes on devices went; name these by hardware.")
         rates: dict[int, tuple[float, Path]] = {}
         try:
             while True:
@@ -112,7 +125,9 @@ class SweepCommand(SetupOptions):
                 workers=1 if trained is not None else self.pool.processes(self.episodes),
                 ray=self.pool.ray,
             )
-            evaluation = replace(evaluation, name=name)
+            evaluation, real = replace(evaluation, name=name), None
+            if self.hardware is not None and seed is None:  # what is wrong with it is told before anything runs
+                real = stack.enter_context(make(setup, hardware=self.hardware))
             attempts, made_by = attempts_of(evaluation, summary, self.pool)
             with interruptible(summary, console):
                 show(attempts, name, len(evaluation.numbers), console, summary)
@@ -120,7 +135,19 @@ class SweepCommand(SetupOptions):
                     for _ in attempts_of(evaluation, summary, self.pool)[0]:
                         pass
             tell(evaluation, summary, self.ledger.videos, time.perf_counter() - started, made_by, console)
+            if real is not None and not summary.is_interrupted:
+                summary.is_interrupted = self._evaluate_on(real, evaluation, console)
         return summary
+
+    def _evaluate_on(self, real: Env, evaluation: Evaluation, console: Console) -> bool:
+        """Evaluate a checkpoint on devices, tell how it went, and return whether that was interrupted."""
+        evaluation = replace(evaluation, episodes=self.real_episodes, workers=1, ray=None, against=None, until=None)
+        summary, started = Summary(), time.perf_counter()
+        with interruptible(summary, console), person(real, console, self.page) as judge:
+            attempts = evaluate(evaluation, summary, env=real, judge=judge)
+            ask_about(attempts, len(evaluation.numbers), summary, judge, console)
+        tell(evaluation, summary, 0, time.perf_counter() - started, "one", console)
+        return summary.is_interrupted
 
     def _own_setup(self, path: Path) -> Any:
         """Return the environment of a checkpoint of ours, with the options that were given."""

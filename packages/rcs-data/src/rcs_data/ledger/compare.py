@@ -134,7 +134,8 @@ def _compared(
     found = {
         name: (ours, theirs)
         for name, (ours, theirs) in one.differences(other).items()
-        if name.partition(".")[0] not in _OWN and not (name.startswith(("code.", "versions.")) and None in (ours, theirs))
+        if name.partition(".")[0] not in _OWN
+        and not (name.startswith(("code.", "versions.")) and None in (ours, theirs))
     }
     return Comparison(
         a=a,
