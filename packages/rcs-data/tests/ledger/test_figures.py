@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from rcs_data.errors import InvalidSetup
@@ -45,7 +45,7 @@ def test_checkpoints_are_a_curve_per_run_and_domain(varied: Ledger) -> None:
 
 def test_the_page_has_a_curve_per_run_and_domain(varied: Ledger) -> None:
     page = write_ledger_page(varied).read_text()
-    for name in ("act", "act, real", "pi", "pi, real"):
+    for name in ("act, simulation", "act, real", "pi, simulation", "pi, real"):
         assert f"</i>{name}</span>" in page, name
 
 
@@ -93,6 +93,40 @@ def test_checkpoints_that_differ_in_their_weights_alone_are_told_apart(
         ledger.add(make_row(condition, 0))
     for by in ("policy", "robot", "steps"):
         assert [one.series for one in groups_of(ledger, by)] == [f"weights {name * 16}" for name in "ab"]
+
+
+@pytest.mark.parametrize(
+    ("change", "series"),
+    [
+        ({"setup": {"frequency": 5.0}}, "setup.frequency 5.0"),
+        ({"execution": {"mode": "rtc"}}, "execution.mode rtc"),
+        ({"code": {"rcs": "c" * 64}}, f"code.rcs {'c' * 16}"),
+        ({"setup": {"frequency": 30.0, "layers": ["KeepTilt"]}}, "setup.layers ['KeepTilt']"),
+    ],
+)
+def test_conditions_that_differ_in_anything_are_series_of_their_own(
+    tmp_path: Path, make_row: MakeRow, make_condition: MakeCondition, change: dict[str, Any], series: str
+) -> None:
+    ledger = Ledger.open(tmp_path / "two")
+    both = {"trained": 1000, "code": {"rcs": "a" * 64}}
+    for condition in (make_condition("act@1000", **both), make_condition("act@1000", **{**both, **change})):
+        ledger.register(condition)
+        for seed in range(20):
+            ledger.add(make_row(condition, seed, seed % 2 == 0))
+    for by in ("policy", "agent", "task", "robot", "domain", "steps"):
+        found = groups_of(ledger, by)
+        assert [one.verdicts.judged for one in found] == [20, 20], "no seed counts twice"
+        assert found[1].series == series
+
+
+def test_an_agent_is_not_pooled_over_conditions_when_domains_are_compared(varied: Ledger, make_row: MakeRow) -> None:
+    before = domains_in_words(varied)
+    simulated = next(one for one in varied.conditions.values() if one.agent == "act@1000" and not one.is_real)
+    fast = replace(simulated, setup={"frequency": 60.0})
+    varied.register(fast)
+    for seed in range(10):
+        varied.add(make_row(fast, seed, success=False))
+    assert domains_in_words(varied) == before
 
 
 def test_domains_are_compared_over_agents_that_have_both(varied: Ledger, filled: Ledger) -> None:

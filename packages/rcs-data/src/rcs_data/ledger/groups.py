@@ -24,12 +24,8 @@ KEYS: Mapping[str, Callable[[Condition], Any]] = {
 }
 """What rates are grouped by: the agent's name without its steps, its whole name, and so on. Tags are keys, too."""
 _NAMED = ("policy", "task", "robot", "domain")
-_CHECKPOINT: Mapping[str, Callable[[Any], str]] = {
-    STEPS: lambda value: f"{value} steps",
-    "agent": str,
-    "weights": lambda value: f"weights {value[:16]}",
-}
-"""What tells the checkpoints of a policy apart, from the plainest on, and how a series is named by it."""
+_SHA256, _DIGITS = 64, 16
+"""Digits of a hash, and of one in the name of a series."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,42 +40,44 @@ class Group:
     """Their verdicts."""
 
 
-def groups_of(ledger: Ledger, by: str) -> list[Group]:
+def groups_of(ledger: Ledger, by: str, names: Sequence[str] | None = None) -> list[Group]:
     """Return rates by a key, in the order of its values, and then of series.
 
-    Different checkpoints of a policy are never in one rate: those that would be are series of their own.
+    Different conditions are never in one rate, which would count their common seeds several times: those that would be
+    are series of their own, by what they differ in.
 
     Args:
         ledger: The ledger.
         by: One of `KEYS`, a tag, or a path in a condition, such as `setup.frequency` or `execution.mode`.
+        names: Keys by which series are named in any case; None for policy, task, robot, domain and tags that differ.
 
     Raises:
         InvalidSetup: No condition has such a value; the message has the keys that there are.
         CorruptEpisode: The description of a condition is damaged.
     """
-    conditions = [one for one in ledger.conditions.items() if _value(one[1], by) is not None]
-    if not conditions:
-        every = list(ledger.conditions.values())
+    conditions = ledger.conditions
+    own = {hash_: values for hash_, one in conditions.items() if (values := _values(one)).get(by) is not None}
+    if not own:
+        every = list(conditions.values())
         tags = {name for one in every for name in one.tags}
         differ = {name for one in every for name in every[0].differences(one)}
         raise InvalidSetup(UnknownName(f"key in {ledger.folder}", by, {*KEYS, *tags, *differ}).message)
-    tags = sorted({name for _, one in conditions for name in one.tags})
-    names = [
-        name
-        for name in (*_NAMED, *tags)
-        if name != by
-        and not (by == "agent" and name == "policy")
-        and len({_value(one, name) for _, one in conditions}) > 1
+    tags = sorted({name for hash_ in own for name in conditions[hash_].tags})
+    if names is None:
+        plain = [name for name in (*_NAMED, *tags) if name != by and (by, name) != ("agent", "policy")]
+        names = [name for name in plain if len({values.get(name) for values in own.values()}) > 1]
+
+    def count(keys: Sequence[str]) -> int:
+        return len({(_series(values, keys, tags), values[by]) for values in own.values()})
+
+    more = [name for values in own.values() for name in values]
+    for name in dict.fromkeys((*_NAMED, *tags, STEPS, "agent", "weights", *more)):
+        if count([*names, name]) > count(names):
+            names = [*names, name]
+    found = [
+        Group(series=_series(values, names, tags), value=values[by], verdicts=verdicts_of(ledger.of(hash_)))
+        for hash_, values in own.items()
     ]
-    for name in _CHECKPOINT:
-        if len(_distinct(conditions, [by, *names, name])) > len(_distinct(conditions, [by, *names])):
-            names.append(name)
-    rows: dict[tuple[str, Any], list[Any]] = {}
-    for hash_, one in conditions:
-        named = {name: value for name in names if (value := _value(one, name)) is not None}
-        series = ", ".join(_CHECKPOINT.get(name, str)(value) for name, value in named.items())
-        rows.setdefault((series, _value(one, by)), []).extend(ledger.of(hash_))
-    found = [Group(series=series, value=value, verdicts=verdicts_of(own)) for (series, value), own in rows.items()]
     is_number = all(isinstance(one.value, int | float) for one in found)
     return sorted(found, key=lambda one: one.value) if is_number else found
 
@@ -90,14 +88,11 @@ def domains_in_words(ledger: Ledger) -> str | None:
     Raises:
         CorruptEpisode: The description of a condition is damaged.
     """
-    rates: dict[tuple[Any, Any, Any], dict[bool, list[Any]]] = {}
-    for hash_, one in ledger.conditions.items():
-        rates.setdefault((one.agent, one.task, one.robot), {}).setdefault(one.is_real, []).extend(ledger.of(hash_))
-    pairs = [
-        (real, simulated)
-        for both in rates.values()
-        if (real := _rate(both.get(True, []))) is not None and (simulated := _rate(both.get(False, []))) is not None
-    ]
+    rates: dict[str, dict[str, float]] = {}
+    for one in groups_of(ledger, "domain", ["agent", "task", "robot"]):
+        if one.verdicts.rate is not None:
+            rates.setdefault(one.series, {})[one.value] = one.verdicts.rate
+    pairs = [(both["real"], both["simulation"]) for both in rates.values() if len(both) == 2]
     if len(pairs) < 2:
         return None
     real, simulated = ([pair[i] for pair in pairs] for i in (0, 1))
@@ -110,15 +105,23 @@ def domains_in_words(ledger: Ledger) -> str | None:
     )
 
 
-def _distinct(conditions: Sequence[tuple[str, Condition]], keys: Sequence[str]) -> set[tuple[Any, ...]]:
-    return {tuple(_value(one, key) for key in keys) for _, one in conditions}
+def _series(values: Mapping[str, Any], names: Sequence[str], tags: Sequence[str]) -> str:
+    """Return the name of a series: plain values of keys and tags, others with their paths."""
+    told: list[str] = []
+    for name in names:
+        text = "none" if values.get(name) is None else str(values[name])
+        if name not in (*KEYS, *tags):
+            told.append(f"{name} {text[:_DIGITS] if len(text) == _SHA256 else text}")
+        elif values.get(name) is not None:
+            told.append(f"{text} {name}" if name == STEPS else text)
+    return ", ".join(told)
 
 
-def _rate(rows: Sequence[Any]) -> float | None:
-    return verdicts_of(rows).rate
-
-
-def _value(condition: Condition, key: str) -> Any:
-    if key in KEYS:
-        return KEYS[key](condition)
-    return condition.tags.get(key, leaves(condition.to_json()).get(key))
+def _values(condition: Condition) -> dict[str, Any]:
+    """Return the values of a condition by key; lists are texts, and nothing is empty."""
+    found = leaves(condition.to_json()) | dict(condition.tags) | {key: get(condition) for key, get in KEYS.items()}
+    return {
+        name: value if isinstance(value, int | float | str | None) else str(value)
+        for name, value in found.items()
+        if value != {}
+    }

@@ -10,6 +10,7 @@ from typing import Any
 from rcs_data.files.durable import disk_errors, write_file
 from rcs_data.ledger.compare import Comparison, compare, labels_of, verdicts_of
 from rcs_data.ledger.condition import Condition
+from rcs_data.ledger.groups import STEPS, Group, groups_of
 from rcs_data.ledger.ledger import FILMS_FOLDER, Ledger
 from rcs_data.ledger.row import Row
 from rcs_data.read.verdicts import Verdicts
@@ -52,24 +53,23 @@ def _page(ledger: Ledger) -> str:
 
 def _curve(ledger: Ledger, conditions: Mapping[str, Condition]) -> Html | None:
     """Return success over steps of training, a line per run; None where no run has several checkpoints."""
-    runs: dict[tuple[object, ...], list[tuple[int, Verdicts]]] = {}
-    for hash_, one in conditions.items():
-        verdicts = verdicts_of(ledger.of(hash_))
-        if one.trained is not None and verdicts.judged:
-            name = one.agent.partition("@")[0] + (", real" if one.is_real else "")
-            run = (name, one.task, one.robot, *sorted(one.tags.items()))
-            runs.setdefault(run, []).append((one.trained, verdicts))
+    if all(one.trained is None for one in conditions.values()):
+        return None
+    runs: dict[str, list[Group]] = {}
+    for one in groups_of(ledger, STEPS, ["policy"]):
+        if one.verdicts.judged:
+            runs.setdefault(one.series, []).append(one)
     lines = [
         Series(
-            name=str(run[0]),
-            x=[steps for steps, _ in points],
-            y=[100 * (one.rate or 0.0) for _, one in points],
-            low=[100 * one.interval[0] for _, one in points],
-            high=[100 * one.interval[1] for _, one in points],
-            told=[str(one) for _, one in points],
+            name=run,
+            x=[one.value for one in points],
+            y=[100 * (one.verdicts.rate or 0.0) for one in points],
+            low=[100 * one.verdicts.interval[0] for one in points],
+            high=[100 * one.verdicts.interval[1] for one in points],
+            told=[str(one.verdicts) for one in points],
             colour=number,
         )
-        for number, (run, points) in enumerate((run, sorted(points, key=_steps)) for run, points in runs.items())
+        for number, (run, points) in enumerate(runs.items())
         if len(points) > 1
     ]
     if not lines:
@@ -77,10 +77,6 @@ def _curve(ledger: Ledger, conditions: Mapping[str, Condition]) -> Html | None:
     most = max(line.x[-1] for line in lines)
     title = "Success [%] over steps of training, 95 % Wilson interval"
     return element("section", chart(title, lines, most=max(most, 1), span=(0, 100), width=1000))
-
-
-def _steps(point: tuple[int, Verdicts]) -> int:
-    return point[0]
 
 
 def comparison_page(ledger: Ledger, compared: Sequence[Comparison]) -> str:
