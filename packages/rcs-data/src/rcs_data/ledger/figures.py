@@ -18,6 +18,8 @@ from rcs_data.view.html import Html, element, header, page, table
 
 FIGURES_FOLDER = "figures"
 _DPI = 200
+_INSIDE, _COLOURS = 4, 10
+"""Most series whose legend has room inside, and that have a colour each of the usual ones."""
 
 
 def write_figures(ledger: Ledger, by: str) -> Path:
@@ -55,9 +57,13 @@ def _drawn(groups: Sequence[Group], by: str, kind: str) -> bytes:
     series = list(dict.fromkeys(one.series for one in groups))
     values = list(dict.fromkeys(one.value for one in groups))
     file: Any = io.BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "rcs", "font.size": 9, "svg.fonttype": "none"}):
+    style: dict[str, Any] = {"svg.hashsalt": "rcs", "font.size": 9, "svg.fonttype": "none"}
+    if len(series) > _COLOURS:
+        style["axes.prop_cycle"] = mpl.cycler(color=mpl.colormaps["tab20"].colors)
+    with mpl.rc_context(style):
         width = 5.0 if is_curve else max(2.5, 0.5 + 0.45 * len(values) * max(len(series), 1))
-        figure = Figure(figsize=(min(width, 12.0), 3.0), layout="constrained")
+        has_room = len(series) <= _INSIDE
+        figure = Figure(figsize=(min(width, 12.0) + (0.0 if has_room else 3.0), 3.0), layout="constrained")
         axes: Any = figure.add_subplot()
         for number, name in enumerate(series):
             own = [one for one in groups if one.series == name]
@@ -67,7 +73,9 @@ def _drawn(groups: Sequence[Group], by: str, kind: str) -> bytes:
         axes.set(ylim=(0, 100), ylabel="success [%]", xlabel=by)
         axes.spines[["top", "right"]].set_visible(False)
         if len(series) > 1:
-            axes.legend(frameon=False, fontsize=8)
+            (axes.legend if has_room else figure.legend)(
+                frameon=False, fontsize=8, loc="best" if has_room else "outside right upper"
+            )
         figure.savefig(file, format=kind, dpi=_DPI, metadata={"Date": None} if kind == "svg" else {"Software": None})
     return file.getvalue()
 
