@@ -51,9 +51,12 @@ class ServoBus:
         """True if no servo answered the last request; the next one is then not repeated."""
         self.is_gone = False
         """True if the port has disappeared; closing and opening the bus connects it again."""
+        self.mute_until = 0.0
+        """Time until which requests fail at once, because no servo answered the last one [s, monotonic]."""
+        self.mute_text = ""
+        """The reason that they give."""
         self.failures = 0
         """Number of repeated requests."""
-        self._mute_until, self._mute_text = 0.0, ""
         self._turn = 0
         self._port: Any = None
         self._claimed = -1
@@ -90,10 +93,6 @@ class ServoBus:
             self._port.closePort()
             os.close(self._claimed)
             self._port = None
-
-    def ask_again(self) -> None:
-        """Ask also a bus on which no servo has just answered."""
-        self._mute_until = 0.0
 
     def read(self, servos: Sequence[int], first: int, count: int) -> dict[int, tuple[int, bytes]]:
         """Return error bits and register values of servos.
@@ -211,8 +210,8 @@ class _Request:
         """Return True if the request should be sent, for the first time or again."""
         self._asked += 1
         if self._asked == 1:
-            if self._begin < self._bus._mute_until:
-                raise DeviceFault(self._bus._mute_text)
+            if self._begin < self._bus.mute_until:
+                raise DeviceFault(self._bus.mute_text)
             return True
         self._bus.failures += 1
         _log.debug("servo bus %s: no answer from %s to request %d", self._bus.address, self.missing, self._asked - 1)
@@ -231,7 +230,7 @@ class _Request:
             "missing servo"
         )
         if is_mute:
-            self._bus._mute_until, self._bus._mute_text = time.monotonic() + MUTE, text
+            self._bus.mute_until, self._bus.mute_text = time.monotonic() + MUTE, text
         return DeviceFault(text)
 
 

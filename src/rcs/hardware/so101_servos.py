@@ -176,7 +176,7 @@ class Servos:
         Raises:
             DeviceFault: The port is not there, or another arm is.
         """
-        self.bus.ask_again()
+        self.bus.mute_until = 0.0
         if not self.bus.is_gone:
             return
         self.bus.close()

@@ -49,10 +49,11 @@ def write_figures(ledger: Ledger, by: str) -> Path:
 def _drawn(groups: Sequence[Group], by: str, kind: str) -> bytes:
     """Return the figure as a file; the same figures are the same bytes."""
     try:
-        import matplotlib as mpl  # pyright: ignore[reportMissingImports]
+        import matplotlib  # pyright: ignore[reportMissingImports]
         from matplotlib.figure import Figure  # pyright: ignore[reportMissingImports]
     except ImportError as err:
         raise MissingDependency("Figures need Matplotlib: pip install 'rcs-data[figures]'.") from err
+    mpl: Any = matplotlib
     is_curve = all(isinstance(one.value, int | float) for one in groups)
     series = list(dict.fromkeys(one.series for one in groups))
     values = list(dict.fromkeys(one.value for one in groups))
