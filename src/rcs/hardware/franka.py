@@ -179,11 +179,9 @@ class FrankaArm(StreamedArm):
     def _open(self) -> None:
         self._franky = franky = package_of("franka", "franky", "The driver franka needs")
         ignore = franky.RealtimeConfig.Ignore
-        self._robot = robot = connected(
-            lambda: franky.Robot(self._address, realtime_config=ignore), self._address, "the arm"
-        )
+        self._robot = connected(lambda: franky.Robot(self._address, realtime_config=ignore), self._address, "the arm")
         self._has_link, self._led, self._problem, self._seen = True, None, "", (math.nan, 0.0)
-        robot.set_collision_behavior(*self._options.thresholds(self._about))
+        self._robot.set_collision_behavior(*self._options.thresholds(self._about))
 
     def _read(self) -> ArmState:
         state = self._fresh_state()
@@ -239,11 +237,10 @@ class FrankaArm(StreamedArm):
 
     def _stop(self) -> None:
         self._is_led, self._led = False, None
-        robot = self._robot
-        if robot is None or self._motion is None or not self._has_link:
+        if self._robot is None or self._motion is None or not self._has_link:
             return
         try:
-            within(STOPPING, robot.stop)
+            within(STOPPING, lambda: self._robot.stop())  # an exception that is kept must not keep the connection
         except TimeoutError as err:
             raise DeviceFault(f"the controller has not confirmed the stop for {STOPPING:g} s") from err
         self._forget_motion()
@@ -264,7 +261,7 @@ class FrankaArm(StreamedArm):
             self._close()
             self._open()
         self._forget_motion()
-        make_idle(self._fresh_state, self._robot.recover_from_errors, self._about.joints, pause=1e-3)
+        make_idle(self._fresh_state, lambda: self._robot.recover_from_errors(), self._about.joints, pause=1e-3)
         self._problem = ""
 
     def _close(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from typing import Any, TypeVar
 
 from rcs.errors import DeviceFault
@@ -153,25 +154,22 @@ def connected(make: Callable[[], T], address: str, what: str) -> T:
 def within(seconds: float, call: Callable[[], T]) -> T:
     """Run a call on a thread of its own and return its result.
 
+    An exception of the call keeps nothing of it alive: a connection ends when the last reference to it does.
+
     Raises:
         TimeoutError: The call has not returned in time; its thread keeps running.
         Exception: Any exception of the call.
     """
-    done = threading.Event()
-    found: list[T] = []
-    raised: list[BaseException] = []
+    done: Future[T] = Future()
+    threading.Thread(target=_run, args=(call, done), name="franka call", daemon=True).start()
+    try:
+        return done.result(seconds)
+    finally:
+        del call, done  # which the traceback would keep
 
-    def run() -> None:
-        try:
-            found.append(call())
-        except BaseException as err:  # noqa: BLE001 - raised again in the waiting thread
-            raised.append(err)
-        finally:
-            done.set()
 
-    threading.Thread(target=run, name="franka call", daemon=True).start()
-    if not done.wait(seconds):
-        raise TimeoutError(f"no return within {seconds:g} s")
-    if raised:
-        raise raised[0]
-    return found[0]
+def _run(call: Callable[[], T], done: Future[T]) -> None:
+    try:
+        done.set_result(call())
+    except BaseException as err:  # noqa: BLE001 - raised again in the waiting thread
+        done.set_exception(err.with_traceback(None))

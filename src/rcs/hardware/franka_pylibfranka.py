@@ -77,11 +77,11 @@ class PylibfrankaArm(StreamedArm):
     def _open(self) -> None:
         self._library = library = package_of("pylibfranka", "pylibfranka", "The backend pylibfranka needs")
         ignore = library.RealtimeConfig.kIgnore
-        self._robot = robot = connected(lambda: library.Robot(self._address, ignore), self._address, "the arm")
+        self._robot = connected(lambda: library.Robot(self._address, ignore), self._address, "the arm")
         self._has_link, self._problem = True, ""
         torque, force = self._options.thresholds(self._about)
-        robot.set_collision_behavior(torque, torque, force, force)
-        self._model = robot.load_model()
+        self._robot.set_collision_behavior(torque, torque, force, force)
+        self._model = self._robot.load_model()
         sys.setswitchinterval(SWITCHING)
 
     def _read(self) -> ArmState:
@@ -158,7 +158,7 @@ class PylibfrankaArm(StreamedArm):
         if not self._has_link:  # the library cannot reconnect
             self._close()
             self._open()
-        make_idle(self._next_state, self._robot.automatic_error_recovery, self._about.joints)
+        make_idle(self._next_state, lambda: self._robot.automatic_error_recovery(), self._about.joints)
         self._problem = ""
 
     def _close(self) -> None:
