@@ -11,7 +11,7 @@ import tyro
 from rcs_data import Dataset
 from rcs_data.cli.console import plain_console, progress
 from rcs_data.convert.formats import export_format, import_format
-from rcs_data.convert.hub import pull, push
+from rcs_data.convert.lerobot.hub import pull, push
 from rcs_data.convert.options import ExportOptions, ImportOptions
 from rcs_data.convert.recipe.contents import contents
 from rcs_data.convert.recipe.recipe import Base, Family, recipe

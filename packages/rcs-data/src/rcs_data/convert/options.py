@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -123,6 +124,21 @@ def refuse_unused(options: ExportOptions, format_: str, used: Collection[str]) -
         raise InvalidSetup(
             f"{format_} has no use for {', '.join(given)}; leave it out. It takes {', '.join(sorted(known))}."
         )
+
+
+def export_name(dataset: Dataset, options: ExportOptions) -> str:
+    """Return the name of an export: that of the options, else of the dataset's folder in letters, digits and "_".
+
+    Raises:
+        InvalidSetup: The name has other characters.
+    """
+    name = options.name
+    if name is None:
+        name = re.sub(r"\W+", "_", dataset.path.resolve().name, flags=re.ASCII).strip("_").lower()
+        name = name if name[:1].isalpha() else f"rcs_{name}".rstrip("_")
+    if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
+        raise InvalidSetup(f"{name!r} cannot name an RLDS dataset; use letters, digits and '_', first a letter.")
+    return name
 
 
 def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[EpisodeRecord, ...]:

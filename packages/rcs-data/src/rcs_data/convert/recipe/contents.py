@@ -6,8 +6,7 @@ import json
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-from rcs_data.convert.options import ExportOptions, selected_cameras
-from rcs_data.convert.rlds.export import export_name
+from rcs_data.convert.options import ExportOptions, export_name, selected_cameras
 from rcs_data.errors import InvalidSetup
 from rcs_data.files.feature import Feature
 from rcs_data.read.reader import Dataset

@@ -16,7 +16,6 @@ what an import needs: the feature of each column, names and units of the numbers
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -28,7 +27,7 @@ from numpy.typing import NDArray
 
 from rcs_data.convert.images import as_png
 from rcs_data.convert.observations import FrameKey, describe_layout, export_report, is_done, kept_info, named, observed
-from rcs_data.convert.options import ExportOptions, ExportReport, refuse_unused, selected_episodes
+from rcs_data.convert.options import ExportOptions, ExportReport, export_name, refuse_unused, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.convert.rlds.features import Spec, features_json, image, numbers, tensor, text
 from rcs_data.convert.rlds.tfrecord import ShardWriter, Values
@@ -201,21 +200,6 @@ def _only(index: int, length: int) -> NDArray[np.int64]:
 def _integer(value: int | None) -> NDArray[np.int64]:
     """Return one number; -1 if unknown or too large (`provenance` has the original)."""
     return np.array([value if value is not None and abs(value) < 1 << 63 else -1], np.int64)
-
-
-def export_name(dataset: Dataset, options: ExportOptions) -> str:
-    """Return the name of an export: that of the options, else of the dataset's folder in letters, digits and "_".
-
-    Raises:
-        InvalidSetup: The name has other characters.
-    """
-    name = options.name
-    if name is None:
-        name = re.sub(r"\W+", "_", dataset.path.resolve().name, flags=re.ASCII).strip("_").lower()
-        name = name if name[:1].isalpha() else f"rcs_{name}".rstrip("_")
-    if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
-        raise InvalidSetup(f"{name!r} cannot name an RLDS dataset; use letters, digits and '_', first a letter.")
-    return name
 
 
 def _dataset_info(name: str, description: str, shards: ShardWriter) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
-from rcs_data.convert.hub import pull, push
 from rcs_data.convert.lerobot.export import export_lerobot
+from rcs_data.convert.lerobot.hub import pull, push
 from rcs_data.convert.lerobot.import_ import import_lerobot
 from rcs_data.convert.options import ImportOptions
 from rcs_data.errors import DatasetError, InvalidSetup, MissingDependency
