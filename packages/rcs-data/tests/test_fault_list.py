@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeWriter, Feature, check, edit, recover
+from rcs_data import SCHEMA_VERSION, Dataset, DatasetInfo, DatasetWriter, EpisodeWriter, Feature, check, edit, recover
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.files.durable import sealed, unsealed
 
@@ -358,7 +358,7 @@ def test_16_a_million_rows_are_written_read_and_checked(tmp_path: Path) -> None:
 def test_17_another_layout_is_refused_and_says_what_to_do(dataset: Path) -> None:
     path = dataset / "dataset.json"
     values = unsealed(path.read_bytes(), path)
-    for version, remedy in ((3, "Record it anew"), (5, "Update this library")):
+    for version, remedy in ((SCHEMA_VERSION - 1, "Record it anew"), (SCHEMA_VERSION + 1, "Update this library")):
         path.write_bytes(sealed({**values, "schema_version": version}))
         for use in (Dataset.open, check, recover):
             with pytest.raises(DatasetError, match=remedy):

@@ -18,7 +18,7 @@ from rcs_data.files.layout import check_name
 from rcs_data.files.text import check_text, check_texts
 from rcs_data.options import Meta, Record
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """The layout on disk that this code writes and reads."""
 
 SIM_STATE = "sim_state"

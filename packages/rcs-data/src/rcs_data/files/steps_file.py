@@ -3,6 +3,9 @@
 The column `episode` has the id, `step` counts from 0, and an image is its number in `frames.zip`. Null says that there
 is nothing: no action before a reset, no image yet, no time measured. A value that is held, or an image that is shown
 again, is there in every row; dictionary encoding has it take no space.
+
+A checksum of Parquet covers what a page has, not how it is to be read, nor the footer. So the footer also has the
+CRC-32 of each column's values, which are compared whenever they are read.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from isal.isal_zlib import crc32
 
 from rcs_data.errors import CorruptEpisode
 from rcs_data.files.durable import HashedFile
@@ -25,6 +29,8 @@ _UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError, OverflowError)
 # Most rows per row group, and most memory that one takes [B]; fixed by the columns, so that the bytes do not depend on
 # how the rows came.
 _MOST_ROWS, _MOST_BYTES = 16384, 1 << 25
+# Key of the checksums in the footer: of each group, those of the columns of `DatasetInfo.stream_schema`.
+_CHECKSUMS, _DIGITS = b"crc32", 8
 
 
 class StepsWriter:
@@ -41,6 +47,7 @@ class StepsWriter:
         self.name = path.name
         self.rows = 0
         self._id = episode_id
+        self._checksums = ""
         self._waiting: list[pa.Table] = []
         self._held = 0
         self._group = max(1, min(_MOST_ROWS, _MOST_BYTES // sum(map(_width, info.steps_schema.types[1:]))))
@@ -52,7 +59,6 @@ class StepsWriter:
             info.steps_schema,
             use_dictionary=coded,
             write_statistics=False,
-            write_page_checksum=True,
             compression="none",
             store_schema=False,  # lists of any length: Arrow before version 26 cannot read fixed ones that are null
         )
@@ -84,12 +90,14 @@ class StepsWriter:
         """Write what is left and the footer, bring the file to the disk and return its SHA-256."""
         if self._waiting:
             self._write_group()
+        self._writer.add_key_value_metadata({_CHECKSUMS: self._checksums})
         self._writer.close()
         return self._file.complete()
 
     def _write_group(self, *last: pa.Table) -> None:
         group = pa.concat_tables([*self._waiting, *last]).combine_chunks()
         self._writer.write_table(group, row_group_size=group.num_rows)
+        self._checksums += "".join(_checksum(column.combine_chunks()) for column in group.columns[2:])
         self._waiting, self._held = [], 0
 
 
@@ -100,13 +108,13 @@ def read_steps(path: Path, info: DatasetInfo, length: int, columns: Sequence[str
         path: The file.
         info: What the dataset's episodes share.
         length: Rows of the episode.
-        columns: Names of `info.steps_schema`.
+        columns: Names of `info.stream_schema`.
 
     Raises:
         CorruptEpisode: The file is missing, damaged, or not that of such an episode.
     """
     with _opened(path, info, length, mapped=True) as file:
-        return _fixed(file.read(columns=list(columns), use_threads=False), info)
+        return pa.concat_tables(_group(path, file, group, info, columns) for group in range(file.num_row_groups))
 
 
 def step_groups(path: Path, info: DatasetInfo, length: int) -> Iterator[pa.Table]:
@@ -117,7 +125,7 @@ def step_groups(path: Path, info: DatasetInfo, length: int) -> Iterator[pa.Table
     """
     with _opened(path, info, length, mapped=False) as file:
         for group in range(file.num_row_groups):
-            yield _fixed(file.read_row_group(group, use_threads=False), info)
+            yield _group(path, file, group, info, info.stream_schema.names)
 
 
 @contextlib.contextmanager
@@ -126,11 +134,14 @@ def _opened(path: Path, info: DatasetInfo, length: int, *, mapped: bool) -> Gene
         raise CorruptEpisode(f"Cannot read {path}: it is missing or not a file.")
     try:
         # Not `read_table`, which takes a folder named "seed=3" for a partition and adds a column.
-        with pq.ParquetFile(path, memory_map=mapped, page_checksum_verification=True) as file:
+        with pq.ParquetFile(path, memory_map=mapped) as file:
             if file.metadata.num_rows != length:
                 raise CorruptEpisode(f"{path} has {file.metadata.num_rows} rows; expected {length}.")
             if file.schema_arrow.names != info.steps_schema.names:
                 raise CorruptEpisode(f"The columns of {path} differ from the dataset's.")
+            checksums = (file.metadata.metadata or {}).get(_CHECKSUMS, b"")
+            if not checksums or len(checksums) != _DIGITS * len(info.stream_schema) * file.num_row_groups:
+                raise CorruptEpisode(f"The footer of {path} is not what was written.")
             yield file
     except CorruptEpisode:
         raise
@@ -138,20 +149,34 @@ def _opened(path: Path, info: DatasetInfo, length: int, *, mapped: bool) -> Gene
         raise CorruptEpisode(f"Cannot read {path}: {err}.") from err
 
 
-def _fixed(rows: pa.Table, info: DatasetInfo) -> pa.Table:
-    """Return the rows with the types of the dataset.
+def _group(path: Path, file: Any, number: int, info: DatasetInfo, columns: Sequence[str]) -> pa.Table:
+    """Return columns of a group with the types of the dataset.
 
     Raises:
-        CorruptEpisode: A column is of another type, or a list of another length.
+        CorruptEpisode: A column is not what was written, or of another type.
     """
+    rows = file.read_row_group(number, columns=list(columns), use_threads=False)
+    names, checksums = info.stream_schema.names, file.metadata.metadata[_CHECKSUMS].decode()
     schema = pa.schema([info.steps_schema.field(name) for name in rows.column_names])
     try:
-        columns = [
-            _column(column.combine_chunks(), kind) for column, kind in zip(rows.columns, schema.types, strict=True)
-        ]
-        return pa.Table.from_arrays(columns, schema=schema)
+        arrays = [column.combine_chunks() for column in rows.columns]
+        for name, array in zip(rows.column_names, arrays, strict=True):
+            place = _DIGITS * (number * len(names) + names.index(name))
+            if _checksum(array) != checksums[place : place + _DIGITS]:
+                raise CorruptEpisode(f"The column {name!r} of {path} is not what was written.")
+        return pa.Table.from_arrays(list(map(_column, arrays, schema.types)), schema=schema)
     except (pa.ArrowException, ValueError, TypeError) as err:
-        raise CorruptEpisode(f"The columns of an episode differ from the dataset's: {err}.") from err
+        raise CorruptEpisode(f"The columns of {path} differ from the dataset's: {err}.") from err
+
+
+def _checksum(column: pa.Array) -> str:
+    """Return the CRC-32 of the values that are there, and of which rows have none."""
+    values, start = column, 0
+    if column.null_count:
+        values, start = column.drop_null(), crc32(column.is_null().to_numpy(zero_copy_only=False))
+    if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
+        values = values.flatten()
+    return f"{crc32(np.ascontiguousarray(values.to_numpy(zero_copy_only=False)), start):08x}"
 
 
 def _column(given: pa.Array, kind: pa.DataType) -> pa.Array:
