@@ -3,7 +3,7 @@
  1  SIGKILL at any moment                      test_recover, integration/test_kill, benchmarks/kill.py
  2  SIGKILL while an episode is completed      test_recover (before every call that changes the disk)
  3  SIGTERM, Ctrl-C                            cli/test_cli
- 4  full disk                                  test_episode_writer, test_background, edit/test_transaction
+ 4  full disk                                  test_episode_writer, test_background, edit/test_full_disk
  5  failing or read-only disk                  test_episode_writer
  6  torn tail, flipped bit                     test_stream, check/test_any_byte, check/test_bitrot
  7  two recorders, lock of a dead one          test_lock, test_writer

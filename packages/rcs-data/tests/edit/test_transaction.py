@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -234,94 +231,6 @@ def test_an_edit_that_fails_leaves_the_dataset_as_it_was(dataset: Path, monkeypa
         edit.delete(dataset, ["nothing"])
     assert state(dataset) == before
     assert check(dataset).is_ok
-
-
-@pytest.fixture(params=["simulated", "mounted"])
-def full_disk(
-    tmp_path: Path, make_dataset: MakeDataset, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
-) -> Iterator[Path]:
-    """A dataset on a disk without a free byte, with a former episode, and an open one that a recording has left."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    is_mounted = request.param == "mounted"
-    if is_mounted and subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", disk], check=False).returncode:
-        pytest.skip("this user cannot mount a small disk")
-    try:
-        path = make_dataset(disk / "set", [60, 30, 20])
-        edit.trim(path, "000000", first=1)
-        leave_open(path, "open")
-        if is_mounted:
-            fill(disk / "filler")
-        else:
-            simulate(disk, monkeypatch)
-        yield path
-    finally:
-        if is_mounted:
-            subprocess.run(["umount", disk], check=True)
-
-
-def fill(path: Path) -> None:
-    """Write a file until the disk takes no more byte."""
-    fd = os.open(path, os.O_WRONLY | os.O_CREAT)
-    size = 1 << 20
-    while size:
-        try:
-            os.write(fd, bytes(size))
-        except OSError:
-            size //= 2
-    os.close(fd)
-
-
-def simulate(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no file in a folder grow, and no folder be made, unless others have shrunk."""
-    write, mkdir = os.write, os.mkdir
-
-    def used() -> int:
-        return sum(path.lstat().st_size for path in disk.rglob("*") if path.is_file())
-
-    def write_if_there_is_space(fd: int, data: bytes | memoryview) -> int:
-        growth = os.lseek(fd, 0, os.SEEK_CUR) + len(data) - os.fstat(fd).st_size
-        if growth > 0 and used() + growth > capacity:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return write(fd, data)
-
-    def mkdir_if_there_is_space(*args: Any, **kwargs: Any) -> None:
-        if used() >= capacity:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        mkdir(*args, **kwargs)
-
-    capacity = used()
-    monkeypatch.setattr("os.write", write_if_there_is_space)
-    monkeypatch.setattr("os.mkdir", mkdir_if_there_is_space)
-
-
-def test_a_full_disk_is_freed_by_deleting_and_pruning(full_disk: Path) -> None:
-    before = Dataset.open(full_disk)["000002"].content_hash
-    with pytest.raises(DatasetError, match="No space left"):
-        recover(full_disk)
-    assert not (full_disk / "open/open/steps.parquet").exists(), "half a file would take what is left"
-    edit.delete(full_disk, ["000001"])
-    assert edit.prune(full_disk) > 1 << 16
-    assert recover(full_disk).recovered == ("open",)
-    assert check(full_disk).is_ok
-    assert [episode.id for episode in Dataset.open(full_disk)] == ["000000", "000002", "open"]
-    assert Dataset.open(full_disk)["000002"].content_hash == before
-
-
-def test_the_reserve_for_a_full_disk_grows_with_the_dataset(
-    tmp_path: Path, make_dataset: MakeDataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = make_dataset(tmp_path / "disk/set", [2] * 200)
-    simulate(tmp_path / "disk", monkeypatch)
-    edit.delete(path, ["000001"])
-    assert edit.prune(path) > 0
-    assert len(Dataset.open(path)) == 199
-
-
-def test_on_a_full_disk_former_episodes_can_be_pruned_at_once(full_disk: Path) -> None:
-    assert edit.prune(full_disk) > 1 << 14
-    assert not any(finding.kind == "left_over" for finding in check(full_disk).findings)
-    assert [episode.length for episode in Dataset.open(full_disk)] == [59, 30, 20]
 
 
 def test_a_killed_prune_can_be_done_again(tmp_path: Path, make_dataset: MakeDataset) -> None:
