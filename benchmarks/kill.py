@@ -1,16 +1,18 @@
 """Kill recordings and edits by SIGKILL at random times and check the results.
 
-A quarter of the trials each kills
+A fifth of the trials each kills
 
 - a collection in one process that notes, in memory shared with this program, how many rows it has recorded: there the
   loss is exact;
 - the whole process tree of `rcs collect` with two workers;
 - a program that deletes, trims, merges, undoes and prunes without end;
-- a program that exports to LeRobot's format and imports that without end.
+- a program that exports to LeRobot's format and imports that without end;
+- a program that pulls such an export without end, from a stand-in of the Hub on this machine (needs huggingface_hub).
 
 After every kill the finished episodes are checked by hash and `recover` brings back the open ones; after an edit the
 dataset must be as it was before or after it, and undo must lead back to what was recorded; a conversion's result is
-complete or absent. A check lists all leftovers, and a repair removes them.
+complete or absent; of a pull, each file is, and another one completes it. A check lists all leftovers, and a repair
+removes them.
 
 Prints one JSON object, also when it is ended early. `lossless` counts the kills after which no finished episode was
 missing or changed, no edit was half done and the check passed; `lost_rows_max` and `lost_s_max` are what the open
@@ -19,6 +21,7 @@ episode lost.
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import mmap
 import os
@@ -29,6 +32,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -38,6 +42,7 @@ from pathlib import Path
 import tyro
 from rcs_data import Dataset, check, convert, edit, recover
 from rcs_data.check.repair import repair
+from rcs_data.convert.lerobot.hub import pull
 from rich.console import Console
 from rich.progress import track
 
@@ -52,9 +57,8 @@ PATIENCE = 600.0
 """How long a program may take to be at work, or to be gone, on a busy machine [s]; longer is a hang."""
 COUNTER = struct.Struct("<qq")
 """Number of the episode that is open and rows recorded of it."""
-
-
-KINDS = ("record", "workers", "edit", "convert")
+REPO = "me/set"
+KINDS = ("record", "workers", "edit", "convert", *(["pull"] if importlib.util.find_spec("huggingface_hub") else []))
 
 
 @dataclass(kw_only=True)
@@ -73,6 +77,8 @@ class Options:
     """Used by the program itself: edit the dataset in this folder."""
     converter: str = ""
     """Used by the program itself: convert the dataset in this folder."""
+    puller: str = ""
+    """Used by the program itself: pull into this folder."""
 
 
 @dataclass
@@ -160,6 +166,14 @@ def convert_without_end(folder: Path) -> None:
         convert.import_lerobot(exported, imported)
 
 
+def pull_without_end(folder: Path) -> None:
+    """Pull until killed."""
+    while True:
+        pull(REPO, folder)
+        folder.with_suffix(".ready").touch()
+        shutil.rmtree(folder)
+
+
 def main(options: Options) -> None:
     """Kill, look, print."""
     setup = Setup(cameras=("wrist", "side") if options.cameras else ())
@@ -171,6 +185,9 @@ def main(options: Options) -> None:
         return
     if options.converter:
         convert_without_end(Path(options.converter))
+        return
+    if options.puller:
+        pull_without_end(Path(options.puller))
         return
     totals = Totals()
     try:
@@ -185,13 +202,16 @@ def kill_in_turns(options: Options, setup: Setup, totals: Totals) -> None:
     with tempfile.TemporaryDirectory(prefix="rcs-kill-") as root:
         source = Path(root) / "source"
         list(collect(Collection(setup=setup, out=source, episodes=4), Progress()))
+        pushed = serve_export(source) if "pull" in KINDS else {}
         for trial in track(range(options.trials), "Killing", console=Console(stderr=True)):
             folder = Path(root) / f"trial {trial}"
-            kind = KINDS[trial % 4]
+            kind = KINDS[trial % len(KINDS)]
             if kind == "edit":
                 is_lossless = kill_edits(folder, source, rng, totals)
             elif kind == "convert":
                 is_lossless = kill_conversions(folder, source, rng, totals)
+            elif kind == "pull":
+                is_lossless = kill_pulls(folder, pushed, rng)
             else:
                 is_lossless = kill_recording(folder, rng, options.cameras, kind == "record", totals)
             totals.kills[kind] += 1
@@ -295,6 +315,32 @@ def kill_conversions(folder: Path, source: Path, rng: random.Random, totals: Tot
     is_ok &= is_clean(folder, [folder.with_suffix(suffix) for suffix in (".lerobot", ".imported")], totals)
     totals.failed_checks += not is_ok
     return is_ok
+
+
+def serve_export(source: Path) -> dict[str, bytes]:
+    """Export a dataset, serve it from here on as the Hub would, and return its files by name."""
+    export = source.with_suffix(".lerobot")
+    convert.export_lerobot(Dataset.open(source), export)
+    files = {str(path.relative_to(export)): path.read_bytes() for path in export.rglob("*") if path.is_file()}
+    tests = Path(__file__).parents[1] / "packages/rcs-data/tests/convert/lerobot/test_hub.py"
+    spec = importlib.util.spec_from_file_location("test_hub", tests)
+    assert spec is not None and spec.loader is not None
+    spec.loader.exec_module(stand_in := importlib.util.module_from_spec(spec))
+    hub = stand_in.Hub()
+    hub.repos[REPO] = files
+    threading.Thread(target=hub.serve_forever, name="hub", daemon=True).start()
+    # Before huggingface_hub is imported.
+    os.environ |= {"HF_ENDPOINT": f"http://127.0.0.1:{hub.server_port}", "HF_HUB_DISABLE_PROGRESS_BARS": "1"}
+    return files
+
+
+def kill_pulls(folder: Path, pushed: dict[str, bytes], rng: random.Random) -> bool:
+    """Kill a program that pulls; return whether each file is whole or not there, and another pull gets the rest."""
+    command = [sys.executable, __file__, "--puller", str(folder)]
+    kill_after(command, folder.with_suffix(".ready").exists, rng.uniform(0.0, 0.5))
+    is_whole = all((folder / name).read_bytes() == data for name, data in pushed.items() if (folder / name).exists())
+    pull(REPO, folder)
+    return is_whole and all((folder / name).read_bytes() == data for name, data in pushed.items())
 
 
 def is_clean(folder: Path, results: list[Path], totals: Totals) -> bool:
