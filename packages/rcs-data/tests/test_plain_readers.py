@@ -93,8 +93,8 @@ def test_other_readers_count_the_rows_that_a_dataset_has(dataset: Path, record: 
 
 
 @pytest.mark.slow
-def test_other_readers_count_them_after_sixty_sequences(dataset: Path, record: Record, tmp_path: Path) -> None:
-    for seed in range(100, 160):
+def test_other_readers_count_them_after_two_hundred_sequences(dataset: Path, record: Record, tmp_path: Path) -> None:
+    for seed in range(100, 300):
         path = tmp_path / "run" / "set"
         shutil.rmtree(path.parent, ignore_errors=True)
         shutil.copytree(dataset, path)
