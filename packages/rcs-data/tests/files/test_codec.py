@@ -76,7 +76,7 @@ def test_an_image_of_another_shape_is_refused() -> None:
         decode_jpeg(encode_jpeg(np.zeros((8, 8, 3), np.uint8), 95, "444"), (8, 16, 3))
     with pytest.raises(CorruptEpisode):
         decode_depth(encode_depth(np.zeros((8, 8), np.uint16)), (8, 16))
-    with pytest.raises(CorruptEpisode, match="expected 8 x 16"):
+    with pytest.raises(CorruptEpisode, match="expected"):
         decode_lossless(encode_lossless(np.zeros((8, 8, 3), np.uint8)), (8, 16, 3))
 
 

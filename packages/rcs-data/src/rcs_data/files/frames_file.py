@@ -2,6 +2,9 @@
 
 A ZIP file without compression: `00000012.jpg` is image 12, and any program unpacks it. Entries of its directory have
 one size, so image 12 is found without reading the others; its CRC-32 is compared whenever it is read.
+
+Python's zipfile reads the whole directory first: of 300 images, it takes 0.8 ms to open the file and read one, beside
+0.03 ms here, in turns. A small JPEG is decoded in 0.3 ms, so random access would take three times as long.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ def _images(episode: EpisodeRecord, feature: Feature, limits: _Limits | None, ro
     for row, data in enumerate(episode.encoded_frames(feature.key)):
         if data is not last:
             try:
-                image = decode_small_jpeg(data, feature.shape, rows)
+                image = decode_small_jpeg(data, rows)
             except CorruptEpisode as err:
                 raise CorruptEpisode(f"{feature.key}, row {row}: {err}") from err
             last = data
