@@ -266,6 +266,10 @@ test-interop: build gl $(foreach r,$(READERS),$(INTEROP)/$(firstword $(subst :, 
 	    >$$export.log 2>&1 || { cat $$export.log; exit 1; }; \
 	  tail -n 1 $$export.log; \
 	done
+	@echo "==> Reading a dataset with Hugging Face's datasets, as docs/layout.md does"
+	@{ sed -n '/^import datasets/,/^```/p' docs/layout.md | sed '/^```/d; s|datasets/plain|$(INTEROP)/data/source|'; \
+	  echo 'assert set(steps["episode"]) == {"000000", "000001", "000002"}, steps'; } | \
+	  HF_HOME=$(INTEROP)/data/hf $(INTEROP)/lerobot-0.4.4/bin/python -
 	@echo "==> Importing what TensorFlow Datasets writes"
 	@rm -rf $(INTEROP)/data/tfds && mkdir -p $(INTEROP)/data/tfds
 	@$(INTEROP)/tfds/bin/python tests/interop/write_rlds.py $(INTEROP)/data/tfds >$(INTEROP)/data/tfds.log 2>&1 || \
