@@ -13,7 +13,7 @@ BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "kill.py"
 
 
 @pytest.mark.slow
-def test_sigkill_damages_nothing_and_loses_at_most_a_second() -> None:
+def test_sigkill_damages_nothing_and_loses_at_most_half_a_second() -> None:
     done = subprocess.run(
         [sys.executable, str(BENCHMARK), "--trials", "6", "--seed", "3"],
         capture_output=True,
@@ -27,4 +27,4 @@ def test_sigkill_damages_nothing_and_loses_at_most_a_second() -> None:
     assert result["damaged"] == result["half_edits"] == 0
     assert result["checks_failed_after_recover"] == 0
     assert result["exact_losses"] == 2
-    assert result["lost_s_max"] <= 1.0
+    assert result["lost_s_max"] <= 0.5
