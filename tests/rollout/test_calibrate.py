@@ -10,8 +10,12 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.calibration import BoardStrategy, verify
+from rcs.calibration import BoardStrategy, CalibrationStrategy, verify
+from rcs.devices import ArmLimits
+from rcs.devices.fakes import FakeArm
 from rcs.errors import InvalidSetup, WrongOrder
+from rcs.hardware.fake import limits_of
+from rcs.robots import FR3
 from rcs.rollout import FreePath, Tour, look_around
 from rcs.setups import Calibration, MountedCamera, ShowBoardOptions, board_setup, write_calibration
 from rcs.spatial import Intrinsics
@@ -152,3 +156,45 @@ def test_a_slow_arm_has_the_time_that_its_way_takes(monkeypatch: pytest.MonkeyPa
         np.testing.assert_allclose(tour.joints, target, atol=3e-3)
         with pytest.raises(InvalidSetup, match="speed is 0"):
             Tour(env, speed=0)
+
+
+def test_an_arm_that_came_to_rest_a_little_beyond_its_range_goes_on() -> None:
+    limits = limits_of(FR3)
+    start = np.array(FR3.home)
+    start[5] = limits.joint_lower[5] - 4e-4
+    arm = FakeArm(limits, start=start)
+    with rcs.make("Free", robot="fr3", relative=False, hardware={"fr3": arm}, max_episode_steps=None) as env:
+        tour = Tour(env, speed=0.5)
+        target = start + [0.2, 0, 0, 0, 0, 4e-4, 0]
+        tour.go_to(target)
+        np.testing.assert_allclose(tour.joints, target, atol=3e-3)
+
+
+class FirstFree(CalibrationStrategy):
+    """Goes to the first of some joints to which it may go, and is done."""
+
+    def __init__(self, *ways: Any) -> None:
+        self.ways, self.gone = ways, list[Any]()
+
+    def look(self, picture: Any, joints: Any) -> bool:
+        return True
+
+    def next_joints(self, joints: Any, is_free: Any = None) -> Any:
+        if self.gone:
+            return None
+        self.gone = [next(one for one in self.ways if is_free(joints, one))]
+        return self.gone[0]
+
+    def solve(self) -> Any:
+        raise NotImplementedError
+
+
+def test_an_arm_goes_nowhere_beyond_the_limits_of_its_device_which_may_be_narrower() -> None:
+    whole, home = limits_of(FR3), np.array(FR3.home)
+    narrow = ArmLimits(home - 0.1, home + 0.1, whole.joint_velocity)
+    hardware = {"fr3": FakeArm(narrow, start=home), "wrist": "fake"}
+    beyond, within = home + 0.12 * np.eye(7)[6], home + 0.05 * np.eye(7)[6]
+    strategy = FirstFree(beyond, within)
+    with rcs.make("Free", cameras="wrist", relative=False, hardware=hardware, max_episode_steps=None) as env:
+        look_around(env, strategy, "wrist", robot="fr3")
+    assert strategy.gone[0] is within

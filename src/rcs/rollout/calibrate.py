@@ -60,7 +60,7 @@ def look_around(
         camera: Name of the camera.
         robot: Name of the robot that moves; None for the one that carries the camera, or for the first.
         speed: Largest speed of a joint in real time [rad/s].
-        is_free: Returns whether the arm may go straight from joints to joints; None for anywhere.
+        is_free: Returns whether the arm may go straight from joints to joints; None for anywhere within its limits.
         confirm: Called before every motion; if it returns False, the strategy proposes the next best pose. None to move
             without confirmation.
         on_look: Called after every picture, with whether it is useful.
@@ -72,7 +72,8 @@ def look_around(
     tour = Tour(env, robot=robot or MountedCamera.of(env.setup, camera).robot.name, speed=speed)
 
     def may_go(start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
-        return (is_free is None or is_free(start, end)) and (confirm is None or confirm(start, end))
+        is_way_free = tour.is_within_limits(end) and (is_free is None or is_free(start, end))
+        return is_way_free and (confirm is None or confirm(start, end))
 
     while True:
         is_of_use = strategy.look(tour.picture(camera), tour.joints)
@@ -123,6 +124,10 @@ class Tour:
     @property
     def _own(self) -> dict[str, Any]:
         return split_by_robot(self._env.robots, self._observation)[self._robot]
+
+    def is_within_limits(self, joints: NDArray[np.float64]) -> bool:
+        """Return whether joints [rad], (dof,), are within the limits in force, which may be narrower than the arm's."""
+        return bool((self._bounded(joints) == joints).all())
 
     def frame(self, camera: str) -> dict[str, NDArray[Any]]:
         """Return the last frame of a camera.
@@ -198,11 +203,15 @@ class Tour:
             name: {key: np.array(part[key]) for key in spaces[name]}  # where they are
             for name, part in split_by_robot(self._env.robots, self._observation).items()
         }
-        actions[self._robot][JOINTS] = target
+        actions[self._robot][JOINTS] = self._bounded(target)  # it may have come to rest a little beyond a limit
         self._observation, _, terminated, truncated, self._info = self._env.step(join_robots(actions))
         if terminated or truncated:
             why = f"{self._info.get('end')} {self._info.get('faults', '')}".rstrip()
             raise WrongOrder(f"The episode ended on the way: {why}")
+
+    def _bounded(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+        space: Any = split_by_robot(self._env.robots, self._env.action_space)[self._robot][JOINTS]
+        return np.clip(joints, space.low, space.high)
 
 
 class FreePath:
