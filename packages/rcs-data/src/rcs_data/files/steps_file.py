@@ -19,6 +19,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from isal.isal_zlib import crc32
+from numpy.typing import NDArray
 
 from rcs_data.errors import CorruptEpisode
 from rcs_data.files.durable import HashedFile
@@ -97,7 +98,7 @@ class StepsWriter:
     def _write_group(self, *last: pa.Table) -> None:
         group = pa.concat_tables([*self._waiting, *last]).combine_chunks()
         self._writer.write_table(group, row_group_size=group.num_rows)
-        self._checksums += "".join(_checksum(column.combine_chunks()) for column in group.columns[2:])
+        self._checksums += "".join(_checksum(*_values(column.combine_chunks())) for column in group.columns[2:])
         self._waiting, self._held = [], 0
 
 
@@ -158,39 +159,43 @@ def _group(path: Path, file: Any, number: int, info: DatasetInfo, columns: Seque
     rows = file.read_row_group(number, columns=list(columns), use_threads=False)
     names, checksums = info.stream_schema.names, file.metadata.metadata[_CHECKSUMS].decode()
     schema = pa.schema([info.steps_schema.field(name) for name in rows.column_names])
+    arrays: list[pa.Array] = []
     try:
-        arrays = [column.combine_chunks() for column in rows.columns]
-        for name, array in zip(rows.column_names, arrays, strict=True):
+        for name, column, kind in zip(rows.column_names, rows.columns, schema.types, strict=True):
+            array = column.combine_chunks()
+            values, is_null = _values(array)
             place = _DIGITS * (number * len(names) + names.index(name))
-            if _checksum(array) != checksums[place : place + _DIGITS]:
+            if _checksum(values, is_null) != checksums[place : place + _DIGITS]:
                 raise CorruptEpisode(f"The column {name!r} of {path} is not what was written.")
-        return pa.Table.from_arrays(list(map(_column, arrays, schema.types)), schema=schema)
+            is_list = pa.types.is_fixed_size_list(kind)
+            arrays.append(_lists(values, is_null, kind.list_size) if is_list else array)
+        return pa.Table.from_arrays(arrays, schema=schema)
+    except CorruptEpisode:
+        raise
     except (pa.ArrowException, ValueError, TypeError) as err:
         raise CorruptEpisode(f"The columns of {path} differ from the dataset's: {err}.") from err
 
 
-def _checksum(column: pa.Array) -> str:
-    """Return the CRC-32 of the values that are there, and of which rows have none."""
-    values, start = column, 0
-    if column.null_count:
-        values, start = column.drop_null(), crc32(column.is_null().to_numpy(zero_copy_only=False))
+def _values(column: pa.Array) -> tuple[pa.Array, NDArray[np.bool_] | None]:
+    """Return the values that are there, those of lists one after the other, and which rows have none, if any."""
+    is_null = column.is_null().to_numpy(zero_copy_only=False) if column.null_count else None
     if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
-        values = values.flatten()
+        return column.flatten(), is_null
+    return column if is_null is None else column.drop_null(), is_null
+
+
+def _checksum(values: pa.Array, is_null: NDArray[np.bool_] | None) -> str:
+    start = 0 if is_null is None else crc32(is_null)
     return f"{crc32(np.ascontiguousarray(values.to_numpy(zero_copy_only=False)), start):08x}"
 
 
-def _column(given: pa.Array, kind: pa.DataType) -> pa.Array:
-    if not pa.types.is_fixed_size_list(kind):
-        return given
-    values = given.flatten()
-    if not given.null_count:
-        return pa.FixedSizeListArray.from_arrays(values, kind.list_size)
-    # A list that is null has no values.
+def _lists(values: pa.Array, is_null: NDArray[np.bool_] | None, size: int) -> pa.Array:
+    if is_null is None:
+        return pa.FixedSizeListArray.from_arrays(values, size)
     found = values.to_numpy(zero_copy_only=False)
-    numbers = np.zeros((len(given), kind.list_size), found.dtype)
-    is_there = given.is_valid().to_numpy(zero_copy_only=False)
-    numbers[is_there] = found.reshape(-1, kind.list_size)
-    return pa.FixedSizeListArray.from_arrays(pa.array(numbers.reshape(-1)), kind.list_size, mask=pa.array(~is_there))
+    numbers = np.zeros((len(is_null), size), found.dtype)
+    numbers[~is_null] = found.reshape(-1, size)
+    return pa.FixedSizeListArray.from_arrays(pa.array(numbers.reshape(-1)), size, mask=pa.array(is_null))
 
 
 def _width(kind: pa.DataType) -> int:
