@@ -328,6 +328,7 @@ def serve_export(source: Path) -> dict[str, bytes]:
     spec.loader.exec_module(stand_in := importlib.util.module_from_spec(spec))
     hub = stand_in.Hub()
     hub.repos[REPO] = files
+    hub.handle_error = lambda *_: None  # those whom it answers are killed
     threading.Thread(target=hub.serve_forever, name="hub", daemon=True).start()
     # Before huggingface_hub is imported.
     os.environ |= {"HF_ENDPOINT": f"http://127.0.0.1:{hub.server_port}", "HF_HUB_DISABLE_PROGRESS_BARS": "1"}
