@@ -96,7 +96,7 @@ class Person(Agent):
         if state == "held" and self._state == "engaged":
             self.held += 1
         is_free = state == "engaged" or (self.end.toggles and state == "released")
-        if not is_free and self._time > self._clutch_at + 1.0:
+        if not is_free and self._time > self._clutch_at + 2.0:
             self._clutch_at = self._time + 0.4  # release, and press it again
         self._state = state
         is_leading = is_free and self._time > 0.8
@@ -111,6 +111,7 @@ class Person(Agent):
         )
         if not is_leading:
             self._joints = self._goal = np.array(observation[JOINTS])
+            self._joints[0] += 0.05 * (self._time < self._clutch_at)  # a leader without a clutch has to be moved first
         most = JOINT * self._period
         self._joints = self._joints + np.clip(self._goal - self._joints, -most, most)
         self._toggle(opening)

@@ -207,6 +207,27 @@ def test_a_leader_without_a_clutch_engages_once_it_rests(lead: Lead) -> None:
     assert led.operator.states == {"right": "engaged"}
 
 
+def test_a_leader_without_a_clutch_that_nobody_moves_does_not_engage_after_a_hold(lead: Lead) -> None:
+    home: list[np.ndarray] = []
+    off = [0.0]
+    led = lead(lambda t: leader(home[0] + off[0]) if home else None, has_clutch=False)
+    home.append(np.array(led.observation["joints"]))
+
+    def lose() -> None:
+        led.device.fate = "silent"
+        led.run(0.3)
+        led.device.fate = ""
+
+    for hold in (lambda: None, lose, lambda: led.operator.reset(led.observation, led.info)):
+        hold()
+        led.run(1.5)
+        assert led.operator.states == {"right": "released"}
+        assert led.operator.problem == "right: move the leader, then let it rest"
+        off[0] += 0.05
+        led.run(1.5)
+        assert led.operator.states == {"right": "engaged"}
+
+
 # --- Gripper ----------------------------------------------------------------------------------------------------------
 
 

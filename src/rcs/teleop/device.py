@@ -87,7 +87,8 @@ class InputDevice(Closing, ABC):
     hands: tuple[str, ...] = ("right",)
     """Names of the hands that readings have, known before `open`."""
     has_clutch: bool = True
-    """False for leaders without any button: they engage when they are still for a second, near the follower's joints.
+    """False for leaders without any button: they engage when they were moved and are still for a second, near the
+    follower's joints.
     A device with buttons alone, such as a pedal, gives readings of `hands` without pose, twist or joints."""
 
     @property

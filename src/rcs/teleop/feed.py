@@ -2,7 +2,7 @@
 
 Between two questions, nothing of importance is lost: presses of buttons, and reasons to hold. Readings that make no
 sense are left out and counted. A device that is lost is opened again; nothing moves on its own account when it is back,
-since a hand that was held has to release the clutch and press it again.
+since a hand that was held has to release the clutch and press it again, or a leader without one to be moved.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """One robot that follows one hand, behind a clutch.
 
 A hand is released, engaged or held. It is held from the start, and whenever it cannot be followed; the robot then
-brakes and stays. From there it is released first, and engaged only when the clutch is pressed after that. Engaged, the
-TCP makes the way of the hand from where both were at that moment, so that engaging moves nothing.
+brakes and stays. From there it is released first, and engaged only when the clutch is pressed after that, or, without a
+clutch, when the hand was moved and rests. Engaged, the TCP makes the way of the hand from where both were at that
+moment, so that engaging moves nothing.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ CATCH_UP = 0.2
 """Pace at which a follower catches up, in parts of the usual one."""
 
 CALM = 0.03, 1.0
-"""A leader without a clutch engages after moving no farther than this [rad] for this time [s]."""
+"""A leader without a clutch engages after moving farther than this [rad], then no farther for this time [s]."""
 
 PICKED_UP = 0.1
 """Difference of openings at which a hand's takes over from that of the gripper: what was grasped does not fall."""
@@ -69,13 +70,12 @@ class Hand:
         self._filter = PoseFilter(options.smoothing, options.quickness)
         self._hand_at = self._tcp_at = np.zeros(7)
         self._is_catching_up = self._has_opening = False
-        self._calm_at: NDArray[np.float64] | None = None
-        self._calm_since = 0.0
+        self._calm_at, self._calm_since = np.zeros(0), np.inf
         self._step = options.speed * period, options.turn_speed * period
 
     def hold(self, why: str) -> None:
-        """Brake and stay, until the clutch was released and pressed."""
-        self.state, self.why, self._calm_at = "held", why, None
+        """Brake and stay, until the clutch was released and pressed, or a leader without one was moved."""
+        self.state, self.why = "held", why
         self.guide.brake()
 
     def act(
@@ -133,17 +133,17 @@ class Hand:
             self._try_to_engage(hand)
 
     def _update_by_rest(self, hand: HandReading, now: float) -> None:
-        """Engage a leader without a clutch once it rests."""
+        """Engage a leader without a clutch once it was moved and rests."""
         if self.state == "engaged" or hand.joints is None:
             return
-        self.state = "released"
         least, seconds = CALM
-        if self._calm_at is None or np.abs(hand.joints - self._calm_at).max() > least:
+        if self.state == "held":  # a rest counts once somebody has moved it
+            self.state, self.why = "released", "move the leader, then let it rest"
+            self._calm_at, self._calm_since = hand.joints, np.inf
+        elif np.abs(hand.joints - self._calm_at).max() > least:
             self._calm_at, self._calm_since = hand.joints, now
         if now - self._calm_since >= seconds:
             self._try_to_engage(hand)
-        elif not self.why:
-            self.why = "waits for the leader to rest"
 
     def _try_to_engage(self, hand: HandReading) -> None:
         self.why = "" if hand.joints is None else self._why_apart(hand.joints)
