@@ -108,7 +108,7 @@ class TeleopCommand(SetupOptions):
             counts = ", ".join(f"{name} {count}" for name, count in left_out.items() if count)
             console.print(f"Readings: {operator.feed.readings}{f'; left out: {counts}' if counts else ''}")
             if latency is not None:
-                console.print(f"Latency: {latency}", soft_wrap=True)
+                console.print(f"Latency of {self.input[0]}: {latency}", soft_wrap=True)
             if takes is not None:
                 console.print(f"Dataset: {self.record}   ({takes.kept} takes kept)", soft_wrap=True)
 

@@ -23,6 +23,9 @@ CHANGED = 4.0
 LEAST = 0.05
 """Least change of a picture's mean that shows one [levels of 255]: pictures at rest may be the same to the last bit."""
 
+PIXELS = slice(None, None, 4)
+"""Rows and columns of pictures that are compared: whole pictures take the loop milliseconds."""
+
 PATIENCE = 2.0
 """Time after which a picture that has not changed is no longer waited for [s]."""
 
@@ -39,15 +42,16 @@ class Latency(Observer):
         """From the moment at which a reading was sampled to its command [s], by reading."""
         self.pictures: list[float] = []
         """From there to the capture of the first picture that has changed [s], by motion."""
+        self._begin = 0, 0
         self._last_input = self._still_since = -np.inf
         self._target: NDArray[np.float64] | None = None
         self._event: float | None = None
-        self._seen: dict[str, tuple[float, NDArray[np.uint8]]] = {}
+        self._seen: dict[str, tuple[float, NDArray[np.int16]]] = {}
         self._noise: dict[str, float] = {}
 
-    def clear(self) -> None:
-        """Forget the figures, as for a new take."""
-        self.commands, self.pictures = [], []
+    def begin_take(self) -> None:
+        """Have `to_json` begin here, with a take; the text is about the whole session."""
+        self._begin = len(self.commands), len(self.pictures)
 
     def on_reset(self, first: Transition, seed: int | None) -> None:
         """Begin anew."""
@@ -78,10 +82,11 @@ class Latency(Observer):
             when = transition.capture_times.get(f"{FRAMES}/{name}")
             if RGB not in frame or when is None or when == self._seen.get(name, (None,))[0]:
                 continue
-            before, self._seen[name] = self._seen.get(name), (when, frame[RGB])
+            picture = frame[RGB][PIXELS, PIXELS].astype(np.int16)
+            before, self._seen[name] = self._seen.get(name), (when, picture)
             if before is None:
                 continue
-            change = float(np.abs(frame[RGB].astype(np.int16) - before[1]).mean())
+            change = float(np.abs(picture - before[1]).mean())
             if self._event is None:
                 if transition.time - self._still_since > REST:
                     self._noise[name] = max(change, 0.9 * self._noise.get(name, 0.0))
@@ -92,16 +97,18 @@ class Latency(Observer):
             self._event = None
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures [s]: number, median and 99th percentile of both."""
-        return {"command": _figures(self.commands), "picture": _figures(self.pictures)}
+        """Return the figures of the take [s]: number, median and 99th percentile of both."""
+        command, picture = self._begin
+        return {"command": _figures(self.commands[command:]), "picture": _figures(self.pictures[picture:])}
 
     def __str__(self) -> str:
-        """Return the figures in a line."""
-        told = {name: own for name, own in self.to_json().items() if own["count"]}
+        """Return the figures of the session in a line."""
+        told = {"command": _figures(self.commands), "picture": _figures(self.pictures)}
         return (
             "; ".join(
                 f"event to {name}: median {1e3 * own['median']:.1f} ms, p99 {1e3 * own['p99']:.1f} ms ({own['count']})"
                 for name, own in told.items()
+                if own["count"]
             )
             or "no motion was seen"
         )

@@ -85,10 +85,19 @@ class Take:
     """The verdict; None for none."""
     rows: int
     is_kept: bool
+    dropped: int = 0
+    """Images and rows that were left out since the writer is too slow."""
 
     def __str__(self) -> str:
         """Return the take in words."""
-        return f"{self.id}: {WORDS[self.success] if self.is_kept else 'discarded'}, {self.rows} rows"
+        dropped = f", {self.dropped} images or rows dropped" if self.dropped else ""
+        return f"{self.id}: {WORDS[self.success] if self.is_kept else 'discarded'}, {self.rows} rows{dropped}"
+
+
+def verdict_of(info: Mapping[str, Any]) -> bool | None:
+    """Return what the task says of a step; None if it says nothing."""
+    success = info.get("success")
+    return None if success is None else bool(success)
 
 
 class Takes:
@@ -123,6 +132,11 @@ class Takes:
         return self._recorder.take is not None and self._recorder.is_recording and not self._is_aborted
 
     @property
+    def dropped(self) -> int:
+        """What the take under way has left out; see `Recorder.dropped`."""
+        return self._recorder.dropped
+
+    @property
     def kept(self) -> int:
         """Number of takes that were kept."""
         return sum(take.is_kept for take in self.ended)
@@ -142,7 +156,7 @@ class Takes:
         take = self._recorder.start(instruction)
         self._statistics, self._is_aborted = LoopStatistics(self._frequency), False
         if self._latency is not None:
-            self._latency.clear()
+            self._latency.begin_take()
         return f"Take {take} begins{f': {instruction}' if instruction else ''}"
 
     def finish(self, success: bool | None) -> str:
@@ -156,13 +170,13 @@ class Takes:
         outcome: dict[str, Any] = {"loop": self._statistics.to_json()}
         if self._latency is not None:
             outcome["latency"] = self._latency.to_json()
-        rows = self._recorder.rows
+        rows, dropped = self._recorder.rows, self._recorder.dropped
         try:
             record = self._recorder.finish(success, outcome)
         except (DatasetError, CorruptEpisode):
             self._is_aborted = True
             raise
-        self.ended.append(Take(id=record.id, success=success, rows=rows, is_kept=True))
+        self.ended.append(Take(id=record.id, success=success, rows=rows, is_kept=True, dropped=dropped))
         return f"Take {self.ended[-1]}; {self._statistics}"
 
     def discard(self) -> str:

@@ -109,6 +109,12 @@ class Recorder(Observer):
         """Rows of the open episode; 0 if none is open."""
         return 0 if self._episode is None else self._episode.rows
 
+    @property
+    def dropped(self) -> int:
+        """Images and rows of the open episode that were left out since the writer is too slow."""
+        episode = self._episode
+        return episode.dropped_images + episode.dropped_rows if isinstance(episode, BackgroundEpisode) else 0
+
     def name_next(self, episode_id: str, *, instruction: str | None = None, at_reset: bool = True) -> None:
         """Set the id of the next episode; without one, episodes are not recorded.
 

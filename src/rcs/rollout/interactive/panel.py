@@ -151,7 +151,8 @@ class Panel:
         takes = self._session.takes
         if takes is None:
             return "No take yet."
-        now = [] if takes.now is None else [f"**{takes.now}: recording**"]
+        dropped = f", {takes.dropped} images or rows dropped" if takes.dropped else ""
+        now = [] if takes.now is None else [f"**{takes.now}: recording{dropped}**"]
         return "  \n".join([*now, *(str(take) for take in takes.ended[: -SHOWN - 1 : -1])])
 
     # --- Made once ----------------------------------------------------------------------------------------------------
