@@ -48,6 +48,8 @@ def test_a_take_is_recorded_with_what_the_hand_did(tmp_path: Path, capsys: pytes
     assert (episode.success, episode.instruction) == (True, "lift it")
     states = episode.info.feature("notes/right_state").words
     assert states[int(episode.column("notes/right_state")[-1]) - 1] == "engaged"
+    actors = episode.info.feature("notes/actor").words
+    assert {actors[int(number) - 1] for number in episode.column("notes/actor")[1:]} == {"person"}
     assert episode.column("notes/right_pose").shape == (episode.length, 7)
     assert 0.0 <= np.nanmedian(episode.column("notes/input_latency")) < 0.1
     assert not [one for one in check(out).findings if one.kind == "not_finite"]

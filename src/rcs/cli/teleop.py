@@ -29,7 +29,7 @@ from rcs.teleop.leader import Leader
 from rcs.teleop.operator import Operator, device_of
 from rcs.teleop.options import LeadOptions
 from rcs.teleop.pedal import WithButtons
-from rcs.teleop.takeover import Takeover
+from rcs.teleop.takeover import Takeover, people_of
 
 
 @dataclass(kw_only=True)
@@ -91,8 +91,7 @@ class TeleopCommand(SetupOptions):
         if self.record is not None:
             recorder = stack.enter_context(record(env, self.record, notes=agent.note_fields))
             takes = Takes(recorder, env.frequency, instructions=self.instruction, latency=latency)
-        operator = agent.operator if isinstance(agent, Takeover) else agent
-        assert isinstance(operator, Operator), "the agent is one, or has one"
+        (operator,) = people_of(agent)
         operator.open()  # before the robots, so that a device that is missing is told first
         loop = Teleoperation(env, agent, takes=takes, seed=self.seed, tell=console.print)
         if device.instructions:

@@ -8,8 +8,8 @@ of the devices' commands hold real robots.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,6 +29,8 @@ HELD_UP = 0.3
 """Time between two actions after which hands are held [s], at least three periods: real arms have stopped by then, and
 the hands are elsewhere."""
 
+Actor = Literal["policy", "person"]
+ACTORS: tuple[Actor, ...] = ("policy", "person")
 STATES: tuple[State, ...] = ("released", "engaged", "held")
 
 REQUESTS: Mapping[Button, Event] = {
@@ -108,11 +110,8 @@ class Operator(Agent):
 
     @property
     def note_fields(self) -> Sequence[Note]:
-        """What `notes` has: when the hands were measured, how late the action is, and of each hand state and pose."""
-        fields = [Note("input_time", unit="s"), Note("input_latency", unit="s")]
-        for name in self._hands:
-            fields += [Note(f"{name}_state", words=STATES), Note(f"{name}_pose", size=7, unit="m, xyzw")]
-        return fields
+        """What `notes` has, as of `notes_of`."""
+        return notes_of(self._hands)
 
     def open(self) -> None:
         """Connect the device, and begin to read it.
@@ -183,7 +182,7 @@ class Operator(Agent):
     def notes(self) -> Mapping[str, Any]:
         """Return the notes of `note_fields`."""
         reading = self.news.reading
-        notes: dict[str, Any] = {"input_latency": self._latency}
+        notes: dict[str, Any] = {"actor": "person", "input_latency": self._latency}
         if reading is not None:
             notes["input_time"] = reading.time
             for name in self._hands:
@@ -218,6 +217,18 @@ class Operator(Agent):
         for name, state in self.states.items():
             if state != before[name] and "engaged" in (state, before[name]):
                 self._events.append("engage" if state == "engaged" else "release")
+
+
+def notes_of(hands: Iterable[str]) -> list[Note]:
+    """Return the notes of an operator: who acted, when hands were measured, how late that is; state and pose of each.
+
+    Args:
+        hands: Names of the hands that lead.
+    """
+    fields = [Note("actor", words=ACTORS), Note("input_time", unit="s"), Note("input_latency", unit="s")]
+    for name in hands:
+        fields += [Note(f"{name}_state", words=STATES), Note(f"{name}_pose", size=7, unit="m, xyzw")]
+    return fields
 
 
 def operator_for(

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 from rcs.agents.agent import Agent, Event
 from rcs.agents.pace import Pace
+from rcs.agents.per_robot import PerRobot
 from rcs.envs.env import Env
 from rcs.envs.observer import Note
 from rcs.envs.spaces import Action, Observation
 from rcs.envs.step.stack import for_all
-from rcs.teleop.operator import Operator
-
-Actor = Literal["policy", "person"]
-ACTORS: tuple[Actor, ...] = ("policy", "person")
+from rcs.teleop.operator import Actor, Operator
 
 
 class Takeover(Agent):
@@ -69,12 +67,12 @@ class Takeover(Agent):
     @property
     def note_fields(self) -> Sequence[Note]:
         """Who acted, and the notes of both."""
-        return [Note("actor", words=ACTORS), *self._pace.agent.note_fields, *self.operator.note_fields]
+        return [*self._pace.agent.note_fields, *self.operator.note_fields]
 
     def notes(self) -> Mapping[str, Any]:
         """Return who acted, and the notes of both."""
         own = self._pace.notes() if self.actor == "policy" else {}
-        return {"actor": self.actor, **own, **self.operator.notes()}
+        return {**own, **self.operator.notes(), "actor": self.actor}
 
     def events(self) -> Sequence[Event]:
         """Return the person's requests since the last call, oldest first."""
@@ -94,3 +92,11 @@ class Takeover(Agent):
     def close(self) -> None:
         """Close both, also when one of them fails to. Closing twice is harmless."""
         for_all([self.operator.close, self._pace.agent.close])
+
+
+def people_of(agent: Agent | None) -> list[Operator]:
+    """Return the people who lead robots through an agent."""
+    if isinstance(agent, PerRobot):
+        return [person for own in agent.agents.values() for person in people_of(own)]
+    person = agent.operator if isinstance(agent, Takeover) else agent
+    return [person] if isinstance(person, Operator) else []

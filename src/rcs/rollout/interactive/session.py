@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from rcs_data.files.closing import Closing
 
-from rcs.agents import Agent, Event, Pace, PerRobot, agent_for
+from rcs.agents import Agent, Event, Pace, agent_for
 from rcs.agents.guide import Guide
 from rcs.devices import lookup
 from rcs.envs.env import Env
@@ -28,7 +28,9 @@ from rcs.rollout.teleoperate import VERDICTS
 from rcs.setups.make import make, resolve
 from rcs.sim.timed_world import TimedWorld
 from rcs.sim.world import World
-from rcs.teleop import InputDevice, Operator, Takeover
+from rcs.teleop import InputDevice, Keyboard, Operator, Takeover
+from rcs.teleop.operator import notes_of
+from rcs.teleop.takeover import people_of
 
 ACTOR = Note("actor", words=("page", "agent", "policy", "person"))
 """Who acted in a row: the person at the page, or an agent; of a takeover, its policy or its person."""
@@ -263,7 +265,7 @@ class Session(Closing):
 
         A person with a device in the hand still leads.
         """
-        pace = None if _is_led_by_a_person(self.agent) else self._take_off_agent()
+        pace = None if people_of(self.agent) else self._take_off_agent()
         self._brake()
         if pace is not None:
             pace.agent.close()
@@ -297,9 +299,9 @@ class Session(Closing):
         if self._out is None:
             raise WrongOrder("Nothing is recorded; give a folder to record into.")
         if self.takes is None:
-            fields = () if self.agent is None else self.agent.note_fields
-            own = [note for note in fields if note.name != ACTOR.name]
-            recorder = self._recording.enter_context(record(self.env, self._out, notes=[ACTOR, *own]))
+            fields = [*notes_of(Keyboard.hands), *(() if self.agent is None else self.agent.note_fields), ACTOR]
+            notes = {note.name: note for note in fields}  # keys may lead later, and all takes have the same notes
+            recorder = self._recording.enter_context(record(self.env, self._out, notes=list(notes.values())))
             self.takes = Takes(recorder, self.env.frequency, instructions=self._instructions)
         takes = self.takes
         if event == "start" and takes.now is None:
@@ -340,7 +342,8 @@ class Session(Closing):
     def _action(self) -> Action:
         if self._pace is not None:
             action = self._pace.act(self.observation, self.info)
-            self.env.note(**{"actor": "agent" if self.operator is None else "page", **self._pace.notes()})
+            page = {} if self.operator is None else {"actor": "page"}
+            self.env.note(**{"actor": "agent", **self._pace.notes(), **page})
             return action
         self.env.note(actor="page")
         actions = {name: guide.act(self.observation, self.info) for name, guide in self.guides.items()}
@@ -390,10 +393,3 @@ class Session(Closing):
         """Keep a take that is open, without a verdict, and close the environment. Closing twice is harmless."""
         calls: list[Callable[[], None]] = [self._recording.close, self._end_agent, self.env.close]
         for_all(calls if self._mirror is None else [*calls, self._mirror.close])
-
-
-def _is_led_by_a_person(agent: Agent | None) -> bool:
-    """Return whether a person leads a robot through an agent, with a device in the hand."""
-    if isinstance(agent, PerRobot):
-        return any(map(_is_led_by_a_person, agent.agents.values()))
-    return isinstance(agent, Operator | Takeover)
