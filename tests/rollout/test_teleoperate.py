@@ -20,6 +20,8 @@ from rcs.envs.spaces import Action, Observation
 from rcs.rollout.latency import Latency
 from rcs.rollout.takes import LoopStatistics, Takes
 from rcs.rollout.teleoperate import Teleoperation
+from rcs.teleop import Operator, Takeover
+from tests.teleop.scripted_device import LEVEL, ScriptedDevice, held
 
 
 class Asking(Agent):
@@ -153,6 +155,28 @@ def test_a_fault_keeps_the_take_open_until_a_person_decides(make: Make, tmp_path
     assert not loop.is_over
 
 
+def test_a_reset_while_the_fault_stays_is_told_and_may_be_tried_again(make: Make) -> None:
+    loop, told = make({}, task="Free", hardware="fake", seed=3)
+    arm: Any = next(port.device for port in _begun(loop).env.stack.ports if port.device is not None)
+    arm.lose_link()
+    while not loop.is_over:
+        loop.advance()
+    for _ in range(2):
+        loop.obey("reset")
+        assert loop.is_over
+        assert "Reset to try again" in told[-1]
+        loop.advance()
+    arm.restore()
+    loop.obey("reset")
+    assert not loop.is_over
+    assert loop.seed == 1
+    loop.advance()
+    arm.trip("a person has pushed it")
+    loop.obey("reset")  # before a step has seen it
+    loop.obey("reset")
+    assert not loop.is_over
+
+
 def _begun(loop: Teleoperation) -> Teleoperation:
     loop.begin(0)
     return loop
@@ -164,6 +188,38 @@ def test_on_real_devices_a_take_ends_and_the_loop_goes_on_where_the_robot_is(mak
     assert [(one.id, one.success) for one in kept(tmp_path)] == [("000000", True)]
     assert loop.seed == 0
     assert not loop.is_over
+
+
+def test_on_real_devices_the_person_leads_after_a_take_and_not_the_policy(tmp_path: Path) -> None:
+    with rcs.make("Free", hardware="fake", max_episode_steps=None) as env:
+        policy = Asking(env, {})
+        person = Operator(env, ScriptedDevice(lambda t: held(LEVEL)), has_thread=False)
+        agent = Takeover(env, policy, person)
+        with rcs.record(env, tmp_path / "set", notes=person.note_fields) as recorder:
+            loop = Teleoperation(env, agent, takes=Takes(recorder, env.frequency))
+            loop.begin(0)
+            for verdict in ("success", "discard"):
+                loop.obey("start")
+                loop.advance()
+                assert (agent.actor, policy.steps > 0) == ("policy", True)
+                loop.obey(verdict)
+                steps = policy.steps
+                loop.advance()
+                assert (agent.actor, policy.steps) == ("person", steps)
+                loop.obey("reset")
+            assert agent.actor == "policy"
+        agent.close()
+    (episode,) = Dataset.open(tmp_path / "set").episodes
+    assert episode.info.feature("notes/actor").words == ("policy", "person")
+
+
+def test_the_latency_of_a_take_is_its_own_and_that_of_the_session_is_told() -> None:
+    latency = Latency()
+    latency.commands = [0.1]
+    latency.begin_take()
+    latency.commands.append(0.02)
+    assert latency.to_json()["command"] == {"count": 1, "median": 0.02, "p99": 0.02}
+    assert str(latency) == "event to command: median 60.0 ms, p99 99.2 ms (2)"
 
 
 def test_the_figures_of_a_loop_are_those_of_its_periods() -> None:

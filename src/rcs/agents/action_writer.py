@@ -63,11 +63,11 @@ class ActionWriter:
 
         Args:
             info: Info of the last step, whose `target` has absolute joints [rad] or the TCP pose; nothing after a
-                reset.
+                reset, and after a fault before the first command.
             robot: Name of the robot, if there are several.
         """
         target = info.get("target")
-        if target is not None:
+        if target:
             self._last = (target if robot is None else target[robot])[self._key]
         if "refused" in info:  # the devices hold, and an origin moves to where they are
             self._origin = self._last

@@ -10,7 +10,9 @@ from rcs.agents import Agent, Event, Pace
 from rcs.envs.env import Env
 from rcs.envs.spaces import Observation
 from rcs.envs.step.judge import FAULT
-from rcs.rollout.takes import LoopStatistics, Takes
+from rcs.errors import RcsError
+from rcs.rollout.takes import LoopStatistics, Takes, verdict_of
+from rcs.teleop.takeover import Takeover
 
 VERDICTS: Mapping[Event, bool] = {"success": True, "failure": False}
 """Events that end a take with a verdict."""
@@ -23,8 +25,8 @@ class Teleoperation:
     `success`, `failure` and `discard` end it; `reset` begins the next episode, also after a fault, and keeps a take
     under way without a verdict; `stop` ends all.
     In simulation, a take that has ended is followed by the next episode, a discarded one by the same again. On real
-    robots the loop goes on, so that the robot can be led to where the next take begins. Whenever a take ends, all
-    devices hold, and the person has to press the clutch anew.
+    robots the loop goes on, and the person leads the robot to where the next take begins, also one of a policy.
+    Whenever a take ends, all devices hold, and the person has to press the clutch anew.
     """
 
     def __init__(
@@ -78,8 +80,9 @@ class Teleoperation:
         Raises:
             DeviceFault: A device is in its fault state.
         """
-        self.seed = self.seed + 1 if seed is None else seed
-        self.observation, self.info = self.env.reset(seed=self.seed)
+        seed = self.seed + 1 if seed is None else seed
+        self.observation, self.info = self.env.reset(seed=seed)
+        self.seed = seed
         self._pace.reset(self.observation, self.info)
         self.is_over, self._ended = False, None
 
@@ -113,8 +116,7 @@ class Teleoperation:
             if self.takes is not None and self.takes.is_recording:
                 self.env.hold()
                 self._tell(self.takes.finish(None))
-            self._recover()
-            self.begin()
+            self._begin_anew()
         elif event in ("start", "discard", *VERDICTS):
             self._judge(event)
 
@@ -136,15 +138,21 @@ class Teleoperation:
             words = "; ".join(f"{name}: {why}" for name, why in faults.items())
             self._tell(f"{'Fault' if self.info['end'] == FAULT else 'The episode is over'}: {words}. Reset to go on.")
         elif self.takes is not None and self.takes.is_recording:
-            self._end(self.takes, self._verdict_of_task())
+            self._end(self.takes, verdict_of(self.info))
         elif self.is_simulated:
             self.begin()
         else:
             self._tell("The episode is over. Reset to go on.")
 
-    def _recover(self) -> None:
-        if self.info.get("faults"):
-            self.env.recover()
+    def _begin_anew(self) -> None:
+        """Clear faults and begin the next episode; while they stay it is over, and a person may ask again."""
+        try:
+            if self.info.get("faults") or self.env.stack.faults():
+                self.env.recover()
+            self.is_over = True
+            self.begin()
+        except RcsError as err:
+            self._tell(f"{type(err).__name__}: {err} Reset to try again.")
 
     # --- Takes --------------------------------------------------------------------------------------------------------
 
@@ -159,11 +167,7 @@ class Teleoperation:
         elif event == "discard":
             self._end(takes, None, is_kept=False)
         elif takes.is_recording:
-            self._end(takes, VERDICTS[event] if event in VERDICTS else self._verdict_of_task())
-
-    def _verdict_of_task(self) -> bool | None:
-        success = self.info.get("success")
-        return None if success is None else bool(success)
+            self._end(takes, VERDICTS[event] if event in VERDICTS else verdict_of(self.info))
 
     def _end(self, takes: Takes, success: bool | None, *, is_kept: bool = True) -> None:
         self.env.hold()  # writing takes longer than a period
@@ -171,5 +175,8 @@ class Teleoperation:
         if self.is_simulated:
             self.begin(None if is_kept else self.seed)
         elif not self.is_over:
-            self._pace.reset(self.observation, self.info)
             self._ended = None
+            if isinstance(self.agent, Takeover):
+                self.agent.give_to_person(self.observation, self.info)
+            else:
+                self._pace.reset(self.observation, self.info)

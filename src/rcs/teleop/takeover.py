@@ -56,13 +56,18 @@ class Takeover(Agent):
         events = self.operator.events()
         self._events += events
         if events.count("takeover") % 2:
-            self.actor = "policy" if is_person else "person"
             if is_person:
+                self.actor = "policy"
                 self._pace.reset(observation, info)
             else:
-                self.operator.take_over(observation, info)
+                self.give_to_person(observation, info)
                 action = self.operator.act(observation, info)
         return self._pace.act(observation, info) if self.actor == "policy" else action
+
+    def give_to_person(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Have the person act from where the robots are; arguments as of `Operator.take_over`."""
+        self.actor = "person"
+        self.operator.take_over(observation, info)
 
     @property
     def note_fields(self) -> Sequence[Note]:

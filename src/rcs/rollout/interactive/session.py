@@ -23,7 +23,7 @@ from rcs.envs.spaces import FRAMES, JOINTS, RGB, Action, Observation
 from rcs.envs.step.judge import DIVERGED, FAULT
 from rcs.envs.step.stack import for_all
 from rcs.errors import DeviceFault, RcsError, WrongOrder
-from rcs.rollout.takes import LoopStatistics, Takes
+from rcs.rollout.takes import LoopStatistics, Takes, verdict_of
 from rcs.rollout.teleoperate import VERDICTS
 from rcs.setups.make import make, resolve
 from rcs.sim.timed_world import TimedWorld
@@ -239,7 +239,7 @@ class Session(Closing):
         elif self.info["end"] == DIVERGED:
             self.problem, self._is_fault = "The simulation diverged.", False
         elif self.is_over and self.takes is not None and self.takes.is_recording:
-            self._end_take(self.takes, self._verdict_of_task())
+            self._end_take(self.takes, verdict_of(self.info))
         if self.agent is not None:
             for event in self.agent.events():
                 self.obey(event)
@@ -254,6 +254,8 @@ class Session(Closing):
             self.env.hold()
             self.is_over = True
         elif event == "reset":
+            if self._is_fault:
+                self.env.recover()
             self.reset()
         elif event == "takeover" and not isinstance(self.agent, Takeover):
             self.let_agent(self.agent is None)
@@ -312,11 +314,7 @@ class Session(Closing):
             takes.discard()
             self._go_on_after_take(is_kept=False)
         else:
-            self._end_take(takes, VERDICTS[event] if event in VERDICTS else self._verdict_of_task())
-
-    def _verdict_of_task(self) -> bool | None:
-        success = self.info.get("success")
-        return None if success is None else bool(success)
+            self._end_take(takes, VERDICTS[event] if event in VERDICTS else verdict_of(self.info))
 
     def _end_take(self, takes: Takes, success: bool | None) -> None:
         self.env.hold()  # writing takes longer than a period
@@ -328,12 +326,18 @@ class Session(Closing):
         if set(self.env.platform.values()) == {"simulation"}:
             self._begin(self.seed + is_kept, None)
         elif not self.is_over:
-            self._brake()
-            if self._pace is not None:
+            self.release()
+            if isinstance(self.agent, Takeover):
+                self.agent.give_to_person(self.observation, self.info)
+            elif self._pace is not None:
                 self._pace.reset(self.observation, self.info)
 
     def advance(self) -> bool:
         """Make a step if the session is playing and the episode not over; return whether one was made."""
+        if self.is_over and self._pace is not None and people_of(self._pace.agent):  # they may ask for the next episode
+            self._pace.act(self.observation, self.info)
+            for event in self._pace.agent.events():
+                self.obey(event)
         if not self.is_playing or self.is_over:
             return False
         self.step()
