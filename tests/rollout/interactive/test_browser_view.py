@@ -20,13 +20,17 @@ import numpy as np
 import pytest
 from rcs_data import Dataset
 
+from rcs.envs import Env
+from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, MissingDependency
 from rcs.rollout.interactive.browser_view import BrowserView
 from rcs.rollout.interactive.page import start_server
 from rcs.rollout.interactive.session import Session, playable
 from rcs.spatial import distance
+from rcs.teleop import Operator
 from tests.rollout.interactive.driven_page import control, drag, give, hear, server_of, update, words
+from tests.teleop.scripted_device import ScriptedDevice, held
 
 
 @pytest.fixture
@@ -196,7 +200,18 @@ async def _called(callback: Any, client: Any) -> None:
         await waits
 
 
-def test_takes_are_made_with_buttons_and_listed(tmp_path: Path) -> None:
+def test_the_state_of_a_person_at_a_device_is_shown_and_what_is_wrong() -> None:
+    def operator(env: Env) -> Operator:
+        return Operator(env, ScriptedDevice(lambda t: held(np.full(7, np.nan))), has_thread=False)
+
+    with Session(replace(playable(Setup(task="Free")), stepping="async"), agent=operator) as session:
+        session.let_agent(True)
+        with BrowserView(session, port=0) as view:
+            view.update()
+            assert "ScriptedDevice: held, no reading yet; left out: not finite" in words(view)
+
+
+def test_takes_are_made_with_buttons_and_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     session = Session(replace(playable(Setup(task="PickCuboid")), stepping="async"), out=tmp_path / "set")
     with session, BrowserView(session, port=0) as view:
         panel = view._panel
@@ -215,6 +230,11 @@ def test_takes_are_made_with_buttons_and_listed(tmp_path: Path) -> None:
             "000001: failure, 2 rows  \n000001: discarded, 2 rows  \n000000: success, 2 rows"
         )
         assert control(view, "Seed").value == 2
+        monkeypatch.setattr(Recorder, "dropped", 3)
+        give(view, "Take", "Start")
+        words(view)
+        assert panel._takes.content.startswith("**000002: recording, 3 images or rows dropped**")
+        give(view, "Take", "Discard")
     assert [one.success for one in Dataset.open(tmp_path / "set").episodes] == [True, False]
 
 

@@ -15,6 +15,7 @@ from rcs.rollout.interactive.session import Session
 from rcs.sim.browser_scene import BrowserScene
 from rcs.spatial import wxyz_to_xyzw, xyzw_to_wxyz
 from rcs.teleop import Keyboard
+from rcs.teleop.takeover import people_of
 
 if TYPE_CHECKING:
     import viser
@@ -122,10 +123,11 @@ class Panel:
         )
         if session.env.is_real:
             lines.append(f"loop: {session.statistics}")
-        if session.operator is not None:
-            states = ", ".join(session.operator.states.values())
-            told = f"{states}, {session.operator.problem}" if session.operator.problem else states
-            lines.append(f"keys ({self._keys.speed:.2f} m/s): {told}  \n{KEYS_TOLD}")
+        for person in people_of(session.agent):
+            told = ", ".join([*person.states.values(), *([person.problem] if person.problem else [])])
+            is_page = person is session.operator
+            name = f"keys ({self._keys.speed:.2f} m/s)" if is_page else type(person.device).__name__
+            lines.append(f"{name}: {told}" + (f"  \n{KEYS_TOLD}" if is_page else ""))
         if words:
             lines.append(f"> {words}")
         elif reach and session.agent is None:
