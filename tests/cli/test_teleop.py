@@ -10,6 +10,7 @@ from rcs_data import Dataset
 from rcs_data.check import check
 
 from rcs.cli.main import main
+from rcs.robots.fr3 import FR3
 from rcs.teleop import HandReading, InputDevice
 from tests.teleop.scripted_device import ScriptedDevice, at, held
 
@@ -30,6 +31,18 @@ def person(address: str | None) -> InputDevice:
 def judge(address: str | None) -> InputDevice:
     """Buttons alone."""
     return ScriptedDevice(lambda t: held(None, *(("discard",) if 0.8 < t < 0.9 else ())), is_waiting=True)
+
+
+def stray(address: str | None) -> InputDevice:
+    """A leader that is not where its follower is, with a clutch."""
+    joints = np.array(FR3.home) + 0.4
+
+    def script(t: float) -> HandReading:
+        return held(None, *(("clutch",) if t > 0.3 else ()), *(("stop",) if t > 1.0 else ()), joints=joints + 1e-3 * t)
+
+    device = ScriptedDevice(script, is_waiting=True)
+    device.valid_for = 2.0  # a busy machine holds threads up
+    return device
 
 
 ME = f"{__name__}:person"
@@ -75,6 +88,13 @@ def test_the_buttons_of_a_second_device_count(tmp_path: Path) -> None:
     out = tmp_path / "takes"
     assert run("Free", "--input", ME, f"{__name__}:judge", "--record", str(out), "--cameras") == 0
     assert not list(Dataset.open(out).episodes)
+
+
+def test_why_a_leader_does_not_engage_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("Free", "--input", f"{__name__}:stray", "--cameras") == 0
+    told = capsys.readouterr().out
+    assert told.count("rad from the follower's; bring it within 0.2") == 1
+    assert "right released: right: joint" in told
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from rcs.spatial import compose, inverse
+from rcs.teleop.device import Reading
+from rcs.teleop.feed import flaw_of
 from rcs.teleop.headset_frames import from_headset
 from rcs.teleop.headset_messages import decode, hand_of
 
@@ -44,8 +46,11 @@ def test_the_change_of_axes_keeps_relative_poses() -> None:
 
 
 @pytest.mark.parametrize("pose", [[0] * 7, [np.nan, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0, 2], [1e6, 0, 0, 0, 0, 0, 1]])
-def test_what_is_no_pose_is_not_tracked(pose: list[float]) -> None:
-    assert from_headset(pose) is None
+def test_what_is_no_pose_is_left_out_and_counted_not_taken_for_a_hand_that_is_lost(pose: list[float]) -> None:
+    assert np.isnan(from_headset(pose)).all()
+    if np.isfinite(pose).all():  # JSON has no other numbers
+        hand = hand_of("right", decode(message(pose=pose)).hands["right"])
+        assert flaw_of(Reading(time=0.0, hands={"right": hand}), ["right"], None, 0.0) == "not finite"
 
 
 def test_a_hand_has_its_buttons_and_the_opening_of_its_trigger() -> None:

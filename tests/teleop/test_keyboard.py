@@ -12,6 +12,7 @@ import termios
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -231,6 +232,19 @@ def test_speed_keys_keep_within_bounds(play) -> None:
         player.send(b"\x1b[%du\x1b[%d;1:3u" % (key, key) * 9 + b"\x1b[119u")
         player.play(player.moves(bound))
         player.send(b"\x1b[119;1:3u")
+
+
+def test_keys_without_a_meaning_are_counted_and_move_nothing() -> None:
+    keys: Any = SimpleNamespace(
+        held=set(), pressed=["q", "w", "57"], damaged=1, time=time.monotonic(), open=lambda: None, wait=time.sleep,
+        close=lambda: None,
+    )  # fmt: skip
+    with Keyboard(keys=keys) as device:
+        device.open()
+        reading = device.read()
+        assert reading is not None
+        assert reading.counts == {"damaged": 1, "unknown key": 2}
+        assert reading.hands["right"].twist == pytest.approx([0.1, 0, 0, 0, 0, 0])
 
 
 def test_without_a_terminal_the_fault_names_the_other_way(run_program) -> None:

@@ -280,6 +280,22 @@ def test_synchronous_steps_are_refused() -> None:
         Operator(rcs.make("Free", stepping="sync"), ScriptedDevice(lambda t: None))
 
 
+def test_steps_that_are_too_rare_to_stop_in_time_are_refused() -> None:
+    with pytest.raises(InvalidSetup, match="10 Hz; valid for a person who leads is 20 Hz"):
+        Operator(rcs.make("Free", frequency=10.0), ScriptedDevice(lambda t: None))
+
+
+def test_what_was_left_out_is_told_with_its_number(lead: Lead) -> None:
+    led = lead(lambda t: held(LEVEL if t < 0.2 else np.full(7, np.nan)))
+    led.run(0.2)
+    assert led.operator.problem == ""
+    led.run(0.1)
+    assert led.operator.problem == "left out: not finite 2"
+    led.run(0.3)
+    assert led.operator.problem.startswith("silent for 0.")
+    assert "left out: not finite" in led.operator.problem
+
+
 def test_one_hand_leads_the_robot_that_it_is_given_and_the_other_stays(lead: Lead) -> None:
     led = lead(after(0.3, lambda t: at(0.05 * min(t, 1.0), 0.0, 1.0)), robot="dual_fr3", robots={"right": "left"})
     led.run(0.3)

@@ -185,6 +185,17 @@ def test_beside_any_other_device_only_its_clutch_does_not_count() -> None:
         soon_asks(device, "start")
 
 
+def test_what_of_the_second_device_was_left_out_is_counted_too() -> None:
+    foot = Foot()
+    with WithButtons(Still(), foot) as device:
+        device.open()
+        wait_for_news(device)
+        foot.feed(event(1, 0x300, 1) + event(1, A, 7))
+        wait_for_news(device)
+        reading = device.read()
+        assert reading is not None and reading.counts == {"damaged": 2}
+
+
 def test_a_pedal_that_is_silent_or_lost_is_released() -> None:
     foot = Foot()
     with WithButtons(Still(), foot) as device:

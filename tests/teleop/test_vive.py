@@ -19,6 +19,7 @@ from rcs.errors import DeviceFault, InvalidSetup
 from rcs.spatial import tquat_to_matrix
 from rcs.teleop import credentials, vive_relay
 from rcs.teleop.device import Reading
+from rcs.teleop.feed import flaw_of
 from rcs.teleop.vive import Vive, hands_of, pose_of
 from rcs.teleop.vive_relay import GREETING, LEFT, POSES, RIGHT, TRACKER, WELCOME, Tracked, pack, unpack
 
@@ -48,9 +49,10 @@ def test_matrices_become_poses_of_the_level_frame() -> None:
 @pytest.mark.parametrize(
     "matrix", [(0.0,) * 12, (np.nan,) * 12, (2.0, *STILL[1:]), (-1.0, *STILL[1:]), (np.inf, *STILL[1:])]
 )
-def test_what_is_no_rotation_is_not_tracked(matrix: tuple[float, ...]) -> None:
-    assert pose_of(matrix) is None
-    assert not hands_of([wand(matrix=matrix)])["right"].is_tracked
+def test_what_is_no_rotation_is_left_out_and_counted(matrix: tuple[float, ...]) -> None:
+    assert np.isnan(pose_of(matrix)).all()
+    reading = Reading(time=0.0, hands=hands_of([wand(matrix=matrix)]))
+    assert flaw_of(reading, Vive.hands, None, 0.0) == "not finite"
 
 
 def test_wands_are_hands_by_their_role_with_buttons() -> None:
@@ -236,13 +238,13 @@ def test_damaged_packets_are_no_packets() -> None:
     assert unpack(good, "code") is not None
 
 
-def test_hostile_numbers_of_a_known_sender_are_not_tracked() -> None:
+def test_hostile_numbers_of_a_known_sender_are_left_out() -> None:
     rng = np.random.default_rng(1)
     for scale in (1e-3, 1.0, 1e30, np.inf, np.nan):
         for _ in range(200):
             matrix = tuple((rng.normal(size=12) * scale).tolist())
             hands = hands_of([wand(matrix=matrix, trigger=scale, pad=(scale, -scale), buttons=(1 << 64) - 1)])
-            assert not hands["right"].is_tracked
+            assert flaw_of(Reading(time=0.0, hands=hands), Vive.hands, None, 0.0) == "not finite"
 
 
 def test_a_port_that_is_taken_is_refused(vive: Vive) -> None:

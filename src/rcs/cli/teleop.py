@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -102,10 +103,7 @@ class TeleopCommand(SetupOptions):
             loop.run(states.show)
         finally:
             console.print(f"Loop: {loop.statistics}", soft_wrap=True)
-            last = operator.news.reading
-            left_out = {**operator.feed.counts, **({} if last is None else last.counts)}
-            counts = ", ".join(f"{name} {count}" for name, count in left_out.items() if count)
-            console.print(f"Readings: {operator.feed.readings}{f'; left out: {counts}' if counts else ''}")
+            console.print("; ".join([f"Readings: {operator.feed.readings}", *operator.left_out]), soft_wrap=True)
             if latency is not None:
                 console.print(f"Latency of {self.input[0]}: {latency}", soft_wrap=True)
             if takes is not None:
@@ -143,7 +141,7 @@ class TeleopCommand(SetupOptions):
 
 
 class _States:
-    """Prints the state of the hands when it changes."""
+    """Prints the state of the hands, and what is wrong, when one of them changes."""
 
     def __init__(self, operator: Operator, console: Console) -> None:
         self._operator, self._console, self._shown = operator, console, ""
@@ -153,9 +151,9 @@ class _States:
         operator = self._operator
         states = ", ".join(f"{name} {state}" for name, state in operator.states.items())
         shown = f"{states}{f': {operator.problem}' if operator.problem else ''}"
-        if states != self._shown:
+        if (words := re.sub(r"[-+]?[0-9.]+", "", shown)) != self._shown:  # figures change all the time
             self._console.print(shown, soft_wrap=True)
-            self._shown = states
+            self._shown = words
         return False
 
 

@@ -83,6 +83,7 @@ class Feed(Closing):
         self.is_open = False
         """Whether the device was opened and not closed."""
         self._newest: Reading | None = None
+        self._of_device: Mapping[str, int] = {}
         self._why = SILENT
         self._pressed: dict[str, list[Button]] = {}
         self._broken: dict[str, str] = {}
@@ -104,6 +105,12 @@ class Feed(Closing):
             name = f"rcs input {type(self.device).__name__}"
             self._thread = threading.Thread(target=self._run, args=(self._must_end,), name=name, daemon=True)
             self._thread.start()
+
+    @property
+    def left_out(self) -> Counter[str]:
+        """What was left out by their flaw: readings, and messages that the device itself could not use."""
+        with self._lock:
+            return self.counts + Counter(self._of_device)
 
     def poll(self) -> News:
         """Return what has happened since the last question."""
@@ -163,7 +170,7 @@ class Feed(Closing):
     def _take(self, reading: Reading) -> None:
         now = self._clock()
         with self._lock:
-            last = self._newest
+            last, self._of_device = self._newest, reading.counts
             if flaw := flaw_of(reading, self.device.hands, last, now):
                 self.counts[flaw] += 1
                 return

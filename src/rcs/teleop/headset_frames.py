@@ -13,8 +13,8 @@ UNIT = 0.01
 """Largest deviation of a quaternion's length from 1."""
 
 
-def from_headset(pose: ArrayLike) -> NDArray[np.float64] | None:
-    """Return a pose of a headset in the axes of an input device; None if it is no pose.
+def from_headset(pose: ArrayLike) -> NDArray[np.float64]:
+    """Return a pose of a headset in the axes of an input device; NaN if it is no pose, which the feed leaves out.
 
     The hand's own axes change likewise: x is where it points.
 
@@ -24,6 +24,6 @@ def from_headset(pose: ArrayLike) -> NDArray[np.float64] | None:
     given = np.asarray(pose, np.float64)
     length = float(np.linalg.norm(given[3:]))
     if not np.isfinite(given).all() or np.abs(given[:3]).max() > FARTHEST or abs(length - 1.0) > UNIT:
-        return None
+        return np.full(7, np.nan)
     turned = given[3:] / length
     return np.array([*(TO_FRONT_LEFT_UP @ given[:3]), *(TO_FRONT_LEFT_UP @ turned[:3]), turned[3]])

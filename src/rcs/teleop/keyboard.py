@@ -35,6 +35,7 @@ INSTRUCTIONS = (
     "w s, a d, r f move; o u, i k, j l turn; space: gripper; - =: speed; enter: take begins or ends; y n: success, "
     "failure; backspace: discard; b: next episode; p: take over; escape: stop"
 )
+KNOWN = frozenset({*MOTIONS, *MEANINGS, *FASTER, SLOWER})
 TOGETHER = 6
 """Most keys of motion at once; more mean something lies on the keyboard."""
 
@@ -93,7 +94,7 @@ class Keyboard(InputDevice):
             raise InvalidSetup(f"The keyboard's address is {address!r}; valid is none, or a path of /dev/input/.")
         self._address, self._given = address, keys
         self._opened = Opened[Keys]("keyboard")
-        self._last = 0.0
+        self._last, self._unknown = 0.0, 0
         self.speed = SPEED
         """Velocity while a key is held [m/s]."""
 
@@ -108,7 +109,7 @@ class Keyboard(InputDevice):
         if keys is None:
             keys = Terminal(MEANINGS) if self._address is None else InputEvents(self._address, "keyboard")
         keys.open()
-        self.speed = SPEED
+        self.speed, self._unknown = SPEED, 0
         self._opened.put(keys)
 
     def read(self) -> Reading | None:
@@ -119,6 +120,7 @@ class Keyboard(InputDevice):
                 return None  # the terminal has not answered
             self._last = keys.time
             pressed, keys.pressed = keys.pressed, []
+            self._unknown += len([key for key in pressed if key not in KNOWN])
             for key in pressed:
                 step = STEP if key in FASTER else 1 / STEP if key == SLOWER else 1.0
                 self.speed = min(max(self.speed * step, SLOWEST), FASTEST)
@@ -132,7 +134,8 @@ class Keyboard(InputDevice):
             if twist.any():
                 buttons.add("clutch")
             hand = HandReading(twist=twist, buttons=frozenset(buttons))
-            return Reading(time=keys.time, hands={"right": hand}, counts={"damaged": keys.damaged})
+            counts = {"damaged": keys.damaged, "unknown key": self._unknown}
+            return Reading(time=keys.time, hands={"right": hand}, counts=counts)
 
     def close(self) -> None:
         """Give the keyboard back."""

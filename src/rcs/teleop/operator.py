@@ -103,10 +103,17 @@ class Operator(Agent):
 
     @property
     def problem(self) -> str:
-        """Why hands are held or do not engage, in words; empty if nothing is wrong."""
+        """Why hands are held or do not engage, and what was left out, in words; empty if nothing is wrong."""
+        told = [f"{name}: {hand.why}" for name, hand in self._hands.items() if hand.why]
         if self.news.reading is None and self.news.why:
-            return self.news.why
-        return "; ".join(f"{name}: {hand.why}" for name, hand in self._hands.items() if hand.why)
+            told = [self.news.why]
+        return "; ".join([*told, *self.left_out])
+
+    @property
+    def left_out(self) -> list[str]:
+        """What of the device was left out and how often, in words; empty for nothing."""
+        told = ", ".join(f"{flaw} {number}" for flaw, number in self.feed.left_out.items())
+        return [f"left out: {told}"] if told else []
 
     @property
     def note_fields(self) -> Sequence[Note]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -109,7 +110,7 @@ class WithButtons(InputDevice):
             own, self._tapped = self._held | self._tapped, frozenset()
         other: set[Button] = {"clutch"} if self._clutch else set()
         hands = {name: replace(hand, buttons=hand.buttons - other | own) for name, hand in reading.hands.items()}
-        return replace(reading, hands=hands)
+        return replace(reading, hands=hands, counts=self._second.left_out + Counter(reading.counts))
 
     def reopen(self) -> None:
         """Open the first device again; the second stays open, and is opened again by itself when it is lost."""

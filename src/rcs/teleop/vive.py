@@ -242,8 +242,8 @@ def _pressed(right: float, up: float) -> Button:
     return "reset" if right > 0 else "discard"
 
 
-def pose_of(matrix: Sequence[float]) -> NDArray[np.float64] | None:
-    """Return the pose of OpenVR's matrix in the axes of an input device, (7,); None if it is no pose.
+def pose_of(matrix: Sequence[float]) -> NDArray[np.float64]:
+    """Return the pose of OpenVR's matrix in the axes of an input device, (7,); NaN if it is no pose.
 
     Args:
         matrix: 3 × 4 by rows [m].
@@ -251,5 +251,5 @@ def pose_of(matrix: Sequence[float]) -> NDArray[np.float64] | None:
     square = np.vstack([np.reshape(np.asarray(matrix, np.float64), (3, 4)), [0.0, 0.0, 0.0, 1.0]])
     turn = square[:3, :3]
     if not np.isfinite(square).all() or np.abs(turn @ turn.T - np.eye(3)).max() > STRAIGHT or np.linalg.det(turn) < 0:
-        return None
+        return np.full(7, np.nan)
     return from_headset(matrix_to_tquat(square))

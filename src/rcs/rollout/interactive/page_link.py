@@ -183,6 +183,7 @@ class PageLink(Closing):
             self.damaged += 1
             return
         held = frozenset(beat.keys) & frozenset(CODES.values())
+        self.damaged += len(beat.keys) > len(held)
         with self._news:
             try:
                 at = own.clock.host_time(1e-3 * beat.time, arrived)
