@@ -25,9 +25,13 @@ from rcs.teleop.feed import Feed, News
 from rcs.teleop.hand import Hand, State
 from rcs.teleop.options import LeadOptions
 
+LEAST_RATE = 20.0
+"""Lowest rate of an environment that a person leads in [Hz]: silence is seen up to a period late, and commands to real
+arms expire after three."""
+
 HELD_UP = 0.3
-"""Time between two actions after which hands are held [s], at least three periods: real arms have stopped by then, and
-the hands are elsewhere."""
+"""Time between two actions after which hands are held [s]: real arms have stopped by then, and the hands are
+elsewhere."""
 
 Actor = Literal["policy", "person"]
 ACTORS: tuple[Actor, ...] = ("policy", "person")
@@ -65,12 +69,17 @@ class Operator(Agent):
             has_thread: Whether a thread reads the device; see `Feed`.
 
         Raises:
-            InvalidSetup: Steps are synchronous, hands do not fit the robots, or a layer has given a robot actions that
-                only a policy can make.
+            InvalidSetup: Steps are synchronous or too rare, hands do not fit the robots, or a layer has given a robot
+                actions that only a policy can make.
             UnknownName: There is no robot, or no hand, of this name.
         """
         if env.setup.stepping == "sync":
             raise InvalidSetup("A person leads a robot step by step; use stepping='realtime', not 'sync'.")
+        if env.frequency < LEAST_RATE:
+            raise InvalidSetup(
+                f"frequency is {env.frequency:g} Hz; valid for a person who leads is {LEAST_RATE:g} Hz or more, so "
+                "that robots stop in time when the hand is lost. A policy may decide at a lower rate that divides it."
+            )
         options = options or LeadOptions()
         self.device = device
         """The device."""
@@ -94,7 +103,6 @@ class Operator(Agent):
                 self._hands[hand] = Hand(guide, options, period=1.0 / env.frequency, has_clutch=device.has_clutch)
         self._latency = np.nan
         self._polled: float | None = None
-        self._held_up = max(HELD_UP, 3.0 / env.frequency)
 
     @property
     def states(self) -> dict[str, State]:
@@ -213,7 +221,7 @@ class Operator(Agent):
         now, reading = self._clock(), self.news.reading
         self._latency = np.nan if reading is None else now - reading.time
         before, self._polled = self._polled, now
-        if before is not None and now - before > self._held_up:
+        if before is not None and now - before > HELD_UP:
             self.hold(f"the loop was held up for {now - before:.1f} s; press the clutch anew")
         return now
 
