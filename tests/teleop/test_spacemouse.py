@@ -127,6 +127,18 @@ def test_at_rest_a_reading_is_new_and_has_no_clutch(tmp_path: Path) -> None:
             assert not second.hands["right"].twist.any()
 
 
+def test_a_knob_that_rests_off_zero_is_not_silent(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "knob")
+    with SpaceMouse(str(tmp_path / "knob")) as device:
+        device.open()
+        with (tmp_path / "knob").open("wb", buffering=0) as knob:
+            knob.write(axes(1, 5, 0, -3))
+            assert device.read() is not None
+            reading = device.read()
+            assert reading is not None
+            assert not reading.hands["right"].twist.any()  # nor does it go on, with a clutch beside it
+
+
 def test_a_knob_that_is_unplugged_is_a_fault_and_works_again_once_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "knob")
     device = SpaceMouse(str(tmp_path / "knob"))

@@ -30,9 +30,9 @@ DEFLECTED = 0.08
 FIRST, ROTATION, KEYS = 1, 2, 3
 """Numbers of reports."""
 MEANINGS: dict[int, Button] = {
-    0: "gripper", 1: "start", 12: "success", 13: "failure", 14: "discard", 15: "reset", 22: "stop", 26: "front",
+    0: "gripper", 1: "start", 12: "success", 13: "failure", 14: "discard", 15: "reset", 22: "stop",
 }  # fmt: skip
-"""Meanings by bit: left and right of the small models; 1 to 4, Esc and the lock of rotations of the Pro ones."""
+"""Meanings by bit: left and right of the small models; 1 to 4 and Esc of the Pro ones."""
 TO_FRONT_LEFT_UP = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """The knob's axes point to the right, to the person and down."""
 
@@ -111,13 +111,14 @@ class SpaceMouse(InputDevice):
         with self._opened as file:
             report = file.read(POLL / 2)  # the kernel gives one report per read
             is_new = bool(report) and reports.feed(report)
-            # A deflected knob reports without a pause, one at rest not at all.
-            if not is_new and reports.axes.any():
+            # A deflected knob reports without a pause, one at rest, which may be a little off zero, not at all.
+            if not is_new and reports.is_deflected:
                 return None
             buttons: set[Button] = {meaning for bit, meaning in MEANINGS.items() if reports.keys >> bit & 1}
             if reports.is_deflected:
                 buttons.add("clutch")
-            hand = HandReading(twist=reports.twist, buttons=frozenset(buttons))
+            twist = reports.twist if is_new or reports.is_deflected else np.zeros(6)
+            hand = HandReading(twist=twist, buttons=frozenset(buttons))
             return Reading(time=time.monotonic(), hands={"right": hand}, counts={"damaged": reports.damaged})
 
     def close(self) -> None:
