@@ -11,6 +11,7 @@ import stat
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -111,6 +112,26 @@ def test_what_makes_no_sense_is_left_out_and_counted(quest: Quest) -> None:
         reading = next_of(quest)
         assert reading.hands["right"].pose == pytest.approx([0, -0.1, 0, 0, 0, 0, 1])
         assert reading.counts == {"damaged": 5, "disordered": 2}
+
+
+def test_a_page_that_is_closed_while_pictures_are_offered_is_no_error() -> None:
+    class Closed(Quest):
+        """Is closed by another thread after each look at what shows pictures."""
+
+        @property
+        def _shown(self) -> Any:
+            shown, self._last = self._last, None
+            return shown
+
+        @_shown.setter
+        def _shown(self, shown: Any) -> None:
+            self._last = shown
+
+    quest, offered = Closed("127.0.0.1:0"), list[Any]()
+    quest._shown = SimpleNamespace(offer=lambda *given: offered.append(given))
+    quest.feedback({}, {})
+    quest.feedback({}, {})
+    assert offered == [({}, {})]
 
 
 def test_a_wrong_code_is_refused_in_words_and_leads_nothing(quest: Quest) -> None:

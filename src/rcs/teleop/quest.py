@@ -84,8 +84,9 @@ class Quest(InputDevice):
 
     def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Show cameras and the state of the hands in the headset."""
-        if self._shown is not None:
-            self._shown.offer(observation, info)
+        shown = self._shown  # another thread closes it
+        if shown is not None:
+            shown.offer(observation, info)
 
     def close(self) -> None:
         """End the page and its connections."""
