@@ -38,16 +38,22 @@ class Behind(BaseHTTPRequestHandler):
 
 
 @pytest.fixture
-def gateway(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Gateway]:
+def behind() -> Iterator[int]:
+    """Port of the server behind."""
+    with HTTPServer(("127.0.0.1", 0), Behind) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield server.server_port
+        server.shutdown()
+
+
+@pytest.fixture
+def gateway(behind: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Gateway]:
     from rcs.teleop import credentials
 
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     monkeypatch.setattr(gateways, "PAUSE", 0.3)
-    with HTTPServer(("127.0.0.1", 0), Behind) as behind:
-        threading.Thread(target=behind.serve_forever, daemon=True).start()
-        with Gateway("127.0.0.1", 0, behind=behind.server_port, code=CODE, tls=credentials.tls()) as made:
-            yield made
-        behind.shutdown()
+    with Gateway("127.0.0.1", 0, behind=behind, code=CODE, tls=credentials.tls()) as made:
+        yield made
 
 
 def ask(gateway: Gateway, path: str, cookie: str = "") -> tuple[int, str, http.client.HTTPResponse]:
@@ -76,6 +82,23 @@ def test_without_the_code_there_is_a_form_and_nothing_else(gateway: Gateway, coo
         assert status == 401
         assert 'name="code"' in body
         assert "close" not in body
+
+
+@pytest.mark.parametrize(
+    ("name", "status"),
+    [
+        ("localhost", 200), ("LOCALHOST:8080", 200), ("127.0.0.1:8080", 200), ("[::1]:8080", 200), ("", 403),
+        ("evil.example:8080", 403), ("127.0.0.1.evil.example", 403), ("localhost.evil.example", 403),
+        ("192.0.2.1", 403),
+    ],
+)  # fmt: skip
+def test_without_a_code_only_names_that_nobody_else_gives_are_answered(behind: int, name: str, status: int) -> None:
+    with Gateway("127.0.0.1", 0, behind=behind) as gateway:
+        connection = http.client.HTTPConnection("127.0.0.1", gateway.port, timeout=20)
+        connection.request("GET", "/", headers={"Host": name})
+        answer = connection.getresponse()
+        assert answer.status == status
+        assert status == 200 or b"http://localhost" in answer.read()
 
 
 def test_wrong_codes_are_tried_one_after_the_other(gateway: Gateway) -> None:

@@ -2,13 +2,15 @@
 
 Asynchronous, on a thread of its own. A browser gives the code once, in the address or in a form, and keeps it in a
 cookie that no other site can use. What follows goes to a server behind as it is, one request per connection. Pages of
-other sites, which may ask a browser to connect to any address, get no stream.
+other sites, which may ask a browser to connect to any address, get no stream; without a code, also no other name of
+this machine is answered, for another site may have given it.
 """
 
 from __future__ import annotations
 
 import asyncio
 import hmac
+import ipaddress
 import re
 import socket
 import ssl
@@ -65,6 +67,7 @@ class Gateway(Closing):
         Raises:
             InvalidSetup: This machine cannot listen at the address, or no port is free.
         """
+        self._host = host.lower()
         self._behind, self._routes, self._code, self._tls = behind, dict(routes or {}), code, tls
         self._socket = _listen(host, port)
         self.port: int = self._socket.getsockname()[1]
@@ -159,7 +162,8 @@ class Gateway(Closing):
         if _field(fields, "upgrade") and origin and urlsplit(origin).netloc.lower() != host.lower():
             return address.path, _answer("403 Forbidden", b"Another site has no business here.\n", kind="text/plain")
         if self._code is None:
-            return address.path, None
+            words = b"This name is not the program's; open the address that it shows, at http://localhost.\n"
+            return address.path, None if self._is_own(host) else _answer("403 Forbidden", words, kind="text/plain")
         given = parse_qs(address.query).get("code")
         if given is not None and address.path == "/":
             if not self._is_code(given[0]):
@@ -172,6 +176,14 @@ class Gateway(Closing):
         found = re.search(rf"(?:^|[; ]){COOKIE}=([^;]*)", _field(fields, "cookie"))
         is_known = found is not None and self._is_code(found[1])
         return address.path, None if is_known else _answer("401 Unauthorized", _FORM)
+
+    def _is_own(self, host: str) -> bool:
+        """Return whether a header `Host` is a name of this machine that nobody else decides upon."""
+        name = re.sub(r":\d*$", "", host).strip("[]").lower()
+        try:
+            return name in ("localhost", self._host) or ipaddress.ip_address(name).is_loopback
+        except ValueError:
+            return False
 
     def _is_code(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), str(self._code).encode())
