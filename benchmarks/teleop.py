@@ -10,11 +10,12 @@ more than a quarter of the cores meanwhile, so that times and rates say little.
 `event_p99_ms` and `event_p50_ms` (from the sample of the hand to the command), `bound_ms` (a period and 2 ms), `equal`
 (successive equal targets while the hand moves at 72 Hz).
 `--loop`, per rate and number of cameras of 640 x 480 at 30 frames/s, all devices fake, recording: `rate_hz`,
-`deviation_hz`, `late`, `lost` (images that are neither recorded nor flagged), `flagged`, `cores` (processor time over
-wall time).
+`deviation_hz`, `late`, `lost` (images by the cameras' own numbers that are neither stored nor flagged), `flagged`,
+`cores` (processor time over wall time).
 `--drop`, in simulation and on `hardware="sim"`, 20 times per fate: `worst_way_mm` (way of the TCP later than
 `valid_for` and 0.1 s after the device has died), `back_way_mm` (way while the device is back, before the clutch),
 `speed_m_s` (largest speed of the TCP afterwards); on `hardware="sim"` also with `act` blocked for 2 s (`blocked`).
+With `--input NAME`, an input of `inputs.py`, `page` (keys of the page) or `pedal` is killed at its other end instead.
 """
 
 from __future__ import annotations
@@ -23,9 +24,11 @@ import itertools
 import json
 import os
 import resource
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +37,7 @@ import numpy as np
 import tyro
 from rcs_data import Dataset
 from rcs_data.check import check
+from rcs_data.files.flags import FrameFlag
 from rehearsal.dead_inputs import Person, drop, held
 
 import rcs
@@ -66,13 +70,15 @@ class Options:
     """Mode of the cameras of `--loop`, such as 1280x720."""
     times: int = 20
     """Deaths per fate of `--drop`."""
+    input: str | None = None
+    """Input that `--drop` kills; by default a stand-in without hardware dies in several ways."""
     seed: int = 0
     """Random seed of episodes and moments."""
 
 
 def main(options: Options) -> None:
     """Measure and print."""
-    parts = {"pick": pick, "latency": latency, "loop": loop, "drop": lambda own: drop(own.times, own.seed)}
+    parts = {"pick": pick, "latency": latency, "loop": loop, "drop": lambda own: drop(own.times, own.seed, own.input)}
     for name in [name for name in parts if getattr(options, name)] or ["pick"]:
         for result in parts[name](options):
             print(json.dumps({"part": name, **result, "busy": os.getloadavg()[0] > 0.25 * (os.cpu_count() or 1)}))
@@ -184,23 +190,18 @@ def latency(options: Options) -> list[dict[str, Any]]:
                 sent, measured = Sent(), Latency()
                 env.add_observer(sent)
                 env.add_observer(measured)
-                began = time.monotonic() + 0.5
-
-                def hand(now: float, began: float = began) -> HandReading:
-                    turn = max(now - began, 0.0)
-                    return held(
-                        (0.05 * np.cos(turn), 0.05 * np.sin(turn), 1.0, 0, 0, 0, 1), *(["clutch"] if turn else [])
-                    )
-
-                operator = Operator(env, Person(hand=hand))
+                person = Person()
+                operator = Operator(env, person)
                 observation, info = env.reset(seed=0)
                 operator.reset(observation, info)
+                person.hand = circling()
                 acted: list[float] = []
                 for _ in range(options.steps):
                     acted.append(time.monotonic())
                     action = operator.act(observation, info)
                     env.note(**operator.notes())
                     observation, _, _, _, info = env.step(action)
+                require_engaged(operator)
                 operator.close()
             moving = round(1.0 * rate)  # the hand moves from then on
             taken = 1e3 * (np.array(sent.times) - np.array(acted))
@@ -219,6 +220,23 @@ def latency(options: Options) -> list[dict[str, Any]]:
     return results
 
 
+def circling() -> Callable[[float], HandReading]:
+    """Return a hand that presses the clutch in half a second, and makes a circle from then on."""
+    began = time.monotonic() + 0.5
+
+    def hand(now: float) -> HandReading:
+        turn = max(now - began, 0.0)
+        return held((0.05 * np.cos(turn), 0.05 * np.sin(turn), 1.0, 0, 0, 0, 1), *(["clutch"] if turn else []))
+
+    return hand
+
+
+def require_engaged(operator: Operator) -> None:
+    """Refuse to measure a robot that does not follow to the end; one that was held stays so."""
+    if set(operator.states.values()) != {"engaged"}:
+        raise SystemExit(f"The robot does not follow, so that nothing can be measured: {operator.problem}")
+
+
 # --- Rate -------------------------------------------------------------------------------------------------------------
 
 
@@ -233,14 +251,14 @@ def loop(options: Options) -> list[dict[str, Any]]:
         site = Site(arms={"fr3": "fake:a"}, grippers={"fr3": "fake:g"}, cameras=fakes)
         env = rcs.make("Free", hardware=site, frequency=rate, max_episode_steps=None, cameras=cameras)
         with tempfile.TemporaryDirectory() as folder, env:
-            person = Person(hand=lambda now: held((0.05 * np.sin(now), 0.0, 1.0, 0, 0, 0, 1), "clutch"))
+            person = Person()
             operator = Operator(env, person)
             statistics = LoopStatistics(rate)
             with rcs.record(env, Path(folder) / "takes", notes=operator.note_fields) as recorder:
                 recorder.start(at_reset=True)
                 observation, info = env.reset(seed=0)
                 operator.reset(observation, info)
-                shown: dict[str, set[float]] = {name: set() for name in names}
+                person.hand = circling()
                 usage, began = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
                 last = began
                 for _ in range(options.steps):
@@ -249,19 +267,19 @@ def loop(options: Options) -> list[dict[str, Any]]:
                     now = time.monotonic()
                     statistics.add(now - last, info)
                     last = now
-                    for name in names:
-                        shown[name].add(env.stack.capture_times()[f"frames/{name}"])
                 after, wall = resource.getrusage(resource.RUSAGE_SELF), time.monotonic() - began
                 recorder.finish(success=None)
+            require_engaged(operator)
             operator.close()
             (take,) = Dataset.open(Path(folder) / "takes").episodes
             lost = flagged = 0
             for name in names:
+                (images,) = take.image_numbers([f"observation/frames/{name}/rgb"]).values()
+                numbers = np.round(30.0 * np.asarray(take.column(f"time/device/frames/{name}")))
                 flags = np.asarray(take.column(f"flags/frames/{name}")).astype(int)
-                recorded = int((flags & 1 == 0).sum())  # REPEATED
-                dropped = int((flags & ~1 != 0).sum())
+                dropped = int((flags & FrameFlag.DROPPED != 0).sum())
                 flagged += dropped
-                lost += max(len(shown[name]) - recorded - dropped - 1, 0)
+                lost += int(np.ptp(numbers)) + 1 - len(np.unique(images)) - dropped
         mean, deviation = statistics.rates
         cpu = after.ru_utime + after.ru_stime - usage.ru_utime - usage.ru_stime
         results.append(
@@ -275,4 +293,7 @@ def loop(options: Options) -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    given = tyro.cli(Options)
+    if given.input == "keyboard" and os.getsid(0) != os.getpid():  # only who leads a session can have a terminal
+        raise SystemExit(subprocess.run([sys.executable, *sys.argv], start_new_session=True, check=False).returncode)
+    main(given)

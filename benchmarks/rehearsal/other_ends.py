@@ -9,6 +9,7 @@ import json
 import os
 import pty
 import select
+import signal
 import socket
 import ssl
 import struct
@@ -69,6 +70,8 @@ class End(Closing):
 
     def __init__(self) -> None:
         self.want = Want()
+        self.is_dead = False
+        """Whether it says nothing."""
         self._must_end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="person", daemon=True)
 
@@ -80,14 +83,20 @@ class End(Closing):
     def send(self, want: Want) -> None:
         """Send it once."""
 
+    def die(self, is_dead: bool) -> None:
+        """Say nothing any more, or again."""
+        self.is_dead = is_dead
+
     def close(self) -> None:
         """End."""
         self._must_end.set()
-        self._thread.join(2.0)
+        if self._thread.is_alive():
+            self._thread.join(2.0)
 
     def _run(self) -> None:
         while not self._must_end.wait(1.0 / self.rate):
-            self.send(self.want)
+            if not self.is_dead:
+                self.send(self.want)
 
 
 def pushed(want: Want, speeds: Sequence[float], least: float) -> Any:
@@ -143,9 +152,27 @@ class Pad(End):
         self._sdl.SDL_JoystickSetVirtualAxis.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_int16]
         self._sdl.SDL_JoystickSetVirtualButton.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_uint8]
         self._sdl.SDL_InitSubSystem(0x200)
-        self._stick = self._sdl.SDL_JoystickOpen(self._sdl.SDL_JoystickAttachVirtual(1, 6, 15, 0))
-        self._sdl.SDL_JoystickSetVirtualAxis(self._stick, 5, -32768)
+        self._plug_in()
         self.device = gamepad.Gamepad()
+
+    def _plug_in(self) -> None:
+        self._number = self._sdl.SDL_JoystickAttachVirtual(1, 6, 15, 0)
+        self._stick = self._sdl.SDL_JoystickOpen(self._number)
+        self._sdl.SDL_JoystickSetVirtualAxis(self._stick, 5, -32768)
+
+    def die(self, is_dead: bool) -> None:
+        """Unplug it, or plug it in: what a stick last said is its state."""
+        if not is_dead:
+            self._plug_in()
+        super().die(is_dead)
+        if is_dead:
+            time.sleep(2.0 / self.rate)  # nobody moves it meanwhile
+            self._sdl.SDL_JoystickDetachVirtual(self._number)
+
+    def close(self) -> None:
+        """End, and unplug it."""
+        super().close()
+        self._sdl.SDL_JoystickDetachVirtual(self._number)
 
     def send(self, want: Want) -> None:
         """Set sticks, trigger and buttons."""
@@ -169,8 +196,8 @@ class Keys(End):
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
-        self._terminal, own = pty.openpty()
-        fcntl.ioctl(own, termios.TIOCSCTTY, 0)
+        self._terminal, self._own = pty.openpty()
+        fcntl.ioctl(self._own, termios.TIOCSCTTY, 0)
         self.device = keyboard.Keyboard()
         self._held: set[str] = set()
         self._is_fine = False
@@ -195,6 +222,12 @@ class Keys(End):
             self._tell(key, 1)
         self._held = keys
 
+    def close(self) -> None:
+        """End, and give the terminal up, for the next one."""
+        super().close()
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        fcntl.ioctl(self._own, termios.TIOCNOTTY)
+
     def _tell(self, key: str, kind: int) -> None:
         os.write(self._terminal, f"\x1b[{ {'space': 32, 'enter': 13}.get(key) or ord(key) };1:{kind}u".encode())
 
@@ -204,6 +237,8 @@ class Keys(End):
             data = os.read(self._terminal, 4096)
             if ASK_FOR_PROTOCOL in data:
                 os.write(self._terminal, b"\x1b[?0u\x1b[?62c")
+            while ASK in data and self.is_dead:  # a network that fails delays the answer
+                time.sleep(0.01)
             if ASK in data:
                 os.write(self._terminal, b"\x1b[0n")
 
@@ -304,6 +339,11 @@ class Leader(End):
             self._servos.stdin.write(json.dumps(given) + "\n")
             self._servos.stdin.flush()
             self._servos.stdout.readline()
+
+    def die(self, is_dead: bool) -> None:
+        """Stop the servos, or let them go on."""
+        super().die(is_dead)
+        self._servos.send_signal(signal.SIGSTOP if is_dead else signal.SIGCONT)
 
     def close(self) -> None:
         """End, and the servos."""
