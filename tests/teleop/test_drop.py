@@ -17,8 +17,8 @@ from tests.teleop.scripted_device import ScriptedDevice, at, held
 
 pytestmark = pytest.mark.slow
 
-AT_REST = 0.01
-"""Speed of the TCP at rest [m/s]."""
+AT_REST = 1e-3
+"""Way for which an arm at rest may still settle [m]."""
 AFTER = 0.1
 """Time after `valid_for` within which it is at rest [s]."""
 
@@ -89,9 +89,7 @@ def test_the_robot_is_at_rest_soon_after_its_device_is_dead(loop: Loop, fate: st
         loop.device.fate = fate
     loop.run(0.8)
     assert loop.operator.states == {"right": "held"}
-    # A step begins up to a period after the device is stale, and an observation is as old as its step.
-    late = loop.device.valid_for + AFTER
-    assert loop.moved_after(died + late + 1 / 30) < AT_REST * 0.4
+    assert loop.moved_after(died + loop.device.valid_for + AFTER) < AT_REST
     # It is back, with the clutch still pressed: nothing moves until that is pressed anew.
     loop.device.fate, loop.device.script = "", lambda t: held(at(0.0, 0.1 * t, 1.0), "clutch")
     back = time.monotonic()
@@ -122,7 +120,7 @@ def test_a_loop_that_hangs_holds_real_devices() -> None:
             loop.places.append(kinematics.forward(np.array(arm.state().joints)).tquat[:3])
             time.sleep(0.01)
         assert loop.moved_after(hung) > 1e-3
-        assert loop.moved_after(hung + loop.device.valid_for + AFTER) < 1e-3
+        assert loop.moved_after(hung + loop.device.valid_for + AFTER) < AT_REST
     finally:
         loop.operator.close()
         loop.env.close()

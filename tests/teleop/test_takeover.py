@@ -11,10 +11,13 @@ from rcs_data import Dataset
 
 import rcs
 from rcs.agents import Agent, PickExpert
+from rcs.spatial import distance
 from rcs.teleop import HandReading, Operator, Takeover
 from tests.teleop.scripted_device import ScriptedDevice, at, held
 
 LOOP, PERSON, POLICY = 90.0, 72.0, 10.0
+TCP = {"person": np.array([0.21, 1.5]), "policy": np.array([0.45, 2.0])}
+"""Largest speeds of the TCP's target: those of `LeadOptions` and of the expert [m/s, rad/s]."""
 
 
 class Slow(PickExpert):
@@ -26,14 +29,14 @@ class Slow(PickExpert):
 def run(env: rcs.envs.Env, agent: Agent, seconds: float) -> tuple[list[str], list[Any]]:
     observation, info = env.reset(seed=3)
     agent.reset(observation, info)
-    actors, infos = [], [{**info, "measured": observation["joints"]}]
+    actors, infos = [], [{**info, "measured": observation}]
     for _ in range(round(seconds * LOOP)):
         action = agent.act(observation, info)
         notes = agent.notes()
         env.note(**notes)
         actors.append(notes["actor"])
         observation, _, terminated, truncated, info = env.step(action)
-        infos.append({**info, "measured": np.array(observation["joints"])})
+        infos.append({**info, "measured": observation})
         if terminated or truncated:
             break
     return actors, infos
@@ -64,18 +67,18 @@ def test_taking_over_and_giving_back_at_random_steps_makes_no_jump(tmp_path: Pat
         agent.close()
     switches = [i for i in range(1, len(actors)) if actors[i] != actors[i - 1]]
     assert [actors[i] for i in switches] == ["person", "policy"]
-    period = 1.0 / LOOP
-    bound = np.array(env.robots["fr3"].arm.velocity_limit) * period + 1e-9
-    key = "joints" if control == "joints" else None
-    if key is not None:
-        targets = np.array([info["target"][key] for info in infos[1:]])
-        measured = np.array([info["measured"] for info in infos])
-        steps = np.abs(np.diff(targets, axis=0))
-        # What brings a target back to where the arm is measured is no jump: the arm brakes at once.
-        back = np.abs(targets[:-1] - measured[1:-1])
-        assert (steps <= np.maximum(bound, back + bound)).all()
-        speeds = np.abs(np.diff(measured, axis=0)).max(axis=0) * LOOP
-        assert (speeds < np.array(env.robots["fr3"].arm.velocity_limit)).all()
+    fastest = np.array(env.robots["fr3"].arm.velocity_limit)
+    targets = np.array([info["target"][control] for info in infos[1:]])
+    measured = np.array([info["measured"][control] for info in infos])
+    if control == "joints":
+        steps, back, bound = np.abs(np.diff(targets, axis=0)), np.abs(targets[:-1] - measured[1:-1]), fastest / LOOP
+    else:
+        steps, back = distance(targets[:-1], targets[1:]), distance(targets[:-1], measured[1:-1])
+        bound = np.array([TCP[actor] for actor in actors[1:]]) / LOOP
+    # What brings a target back to where the arm is measured is no jump: the arm brakes at once.
+    assert (steps <= back + bound + 1e-9).all()
+    speeds = np.abs(np.diff([info["measured"]["joints"] for info in infos], axis=0)).max(axis=0) * LOOP
+    assert (speeds < fastest).all()
     (episode,) = Dataset.open(tmp_path / "set").episodes
     words = episode.info.feature("notes/actor").words
     assert [words[int(i) - 1] for i in episode.column("notes/actor")[1:]] == actors
