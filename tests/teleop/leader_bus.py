@@ -3,7 +3,8 @@
 Prints the path of the port, and after each line of its input which servos have torque, where they are to go, and what
 bounds their torque. A servo with torque goes to its goal by up to `PACE` between two answers, unless it is held:
 `{"held": [2]}`. Each line of its input is JSON: positions by servo, or a fault: `{"mute": [3]}` has servos
-say nothing, `{"lose": 2}` and `{"corrupt": 2}` damage the next answers, `{"late": 0.05}` delays all of them [s].
+say nothing, `{"lose": 2}` and `{"corrupt": 2}` damage the next answers, `{"late": 0.05}` delays all of them [s], and
+`{"noise": 3}` has each follow so many damaged copies of it, with one wrong bit behind the head.
 Positions are what the encoders count, 4096 a turn, those of Dynamixel servos with whole turns; in permanent memory, all
 servos of Feetech are calibrated to 0 … 4095 with the middle at 2048, but for the ends of the range.
 """
@@ -32,6 +33,7 @@ class Servos:
         self.has_torque = dict.fromkeys(self.positions, True)
         self.goals: dict[int, int] = {}
         self.limits: dict[int, int] = {}
+        self.noise: dict[int, int] = {}
         self.faults: dict[str, Any] = {}
 
     def take(self, line: str) -> None:
@@ -40,7 +42,10 @@ class Servos:
         self.faults |= given
 
     def state(self) -> dict[str, Any]:
-        own = {"torque": self.has_torque, "goals": self.goals, "limits": self.limits, "positions": self.positions}
+        own = {
+            "torque": self.has_torque, "goals": self.goals, "limits": self.limits, "positions": self.positions,
+            "noise": self.noise,
+        }  # fmt: skip
         return {name: {str(servo): value for servo, value in one.items()} for name, one in own.items()}
 
     def move(self) -> None:
@@ -56,7 +61,11 @@ class Servos:
             if self.faults.get(fault, 0) > 0:
                 self.faults[fault] -= 1
                 return b"" if fault == "lose" else answer[:-3] + bytes([answer[-3] ^ 4]) + answer[-2:]
-        return answer
+        before = self.noise.setdefault(servo, 0)
+        self.noise[servo] += self.faults.get("noise", 0)
+        wrong = [divmod(bit % (8 * (len(answer) - 7)), 8) for bit in range(before, self.noise[servo])]
+        copies = [answer[: 7 + at] + bytes([answer[7 + at] ^ 1 << bit]) + answer[8 + at :] for at, bit in wrong]
+        return b"".join([*copies, answer])
 
 
 class Feetech(Servos):

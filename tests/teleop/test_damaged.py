@@ -6,6 +6,7 @@ import random
 import struct
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from rcs.teleop.dynamixel import Answers, packet
@@ -73,11 +74,12 @@ def test_events_of_the_kernel() -> None:
     assert len(keys.held) <= 0x2FF
 
 
+@pytest.mark.slow
 def test_answers_of_servos() -> None:
     random_ = random.Random(4)
     good = packet(1, 0x55, b"\x00" + (2048).to_bytes(4, "little"))
     answers = Answers()
-    for _ in range(COUNT // 10):
+    for _ in range(COUNT):
         sent = damaged(random_, good)
         for servo, values in answers.feed(sent):
             assert good in sent or (servo, values) == (1, b"\x00\x08\x00\x00")
@@ -97,6 +99,7 @@ def test_messages_of_a_headset() -> None:
             for name in ("left", "right"):
                 reading = hand_of(name, message.hands.get(name))
                 assert reading.is_tracked == (reading.pose is not None)
-                assert reading.pose is None or abs(reading.pose[3:] @ reading.pose[3:] - 1) < 1e-9
+                is_pose = reading.pose is not None and np.isfinite(reading.pose).any()
+                assert not is_pose or abs(reading.pose[3:] @ reading.pose[3:] - 1) < 1e-9
                 assert reading.opening is None or 0 <= reading.opening <= 1
     assert 0 < of_use < COUNT / 2

@@ -19,10 +19,18 @@ import numpy as np
 import pytest
 
 import rcs
+from rcs.robots.fr3 import FR3
+from rcs.rollout.interactive.page_link import PageKeys, PageLink
 from rcs.spatial import distance
-from rcs.teleop import InputDevice, Operator, Quest, Reading, SpaceMouse, Vive, credentials, vive_relay
+from rcs.teleop import InputDevice, Keyboard, Operator, Quest, Reading, SpaceMouse, Vive, credentials, gello, vive_relay
+from rcs.teleop.device_file import DeviceFile
 from rcs.teleop.headset_messages import decode
+from rcs.teleop.input_events import EVENT, HIGHEST, InputEvents
+from rcs.teleop.keyboard import MOTIONS
 from rcs.teleop.spacemouse import KnobReports
+from rcs.teleop.terminal import Terminal
+from rcs.teleop.terminal_keys import TerminalKeys
+from tests.teleop.leaders import STEP, bus_of, calibrated, saved
 from tests.teleop.test_damaged import COUNT, damaged
 
 pytestmark = pytest.mark.slow
@@ -98,41 +106,156 @@ def sent(device: Any) -> int:
     return device.sent_damaged
 
 
-def test_reports_of_a_knob(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "knob")
-    knob = os.open(tmp_path / "knob", os.O_RDWR)
-    random_ = random.Random(1)
-    kinds = [struct.pack("<B3h", 1, 0, 0, 0), struct.pack("<B6h", 1, *[0] * 6), struct.pack("<B3h", 2, 0, 0, 0)]
+def flood(device: Any, spoil: Callable[[], object], tell: Callable[[bool], object], together: int = TOGETHER) -> None:
+    """Have a robot follow a device at rest, then one that is deflected.
 
-    class Flooded(SpaceMouse):
-        """Reads damaged reports before each good one, one at a time, as the kernel gives them."""
+    Args:
+        device: What the hand holds.
+        spoil: Has the device take a damaged message.
+        tell: Sends a good message, of a device at rest, or deflected.
+        together: Damaged messages between two good ones.
+    """
+    read = device.read
 
-        good = kinds[0]
+    def flooded() -> Reading | None:
+        for _ in range(0 if is_deflected else together):
+            spoil()
+        tell(is_deflected)
+        return read()
 
-        def read(self) -> Reading | None:
-            for _ in range(TOGETHER):
-                os.write(knob, broken(random_, kinds))
-                super().read()
-            os.write(knob, self.good)
-            return super().read()
-
-    device = Flooded(str(tmp_path / "knob"))
+    device.read, is_deflected, readings = flooded, False, 0
     with rcs.make("Free", stepping="async", max_episode_steps=None, binary_gripper=False) as env:
         operator = Operator(env, device, has_thread=False)
         observation, info = env.reset(seed=0)
         operator.reset(observation, info)
         start = np.array(observation["tquat"])
-        for number in range(COUNT // TOGETHER + 20):
+        for _ in range(COUNT // together):
             observation, _, _, _, info = env.step(operator.act(observation, info))
-            way = distance(start, observation["tquat"])[0]
-            if number < COUNT // TOGETHER:
-                assert way < 1e-4
-            else:
-                device.good = struct.pack("<B3h", 1, 200, 0, 0)
-        assert device._reports.damaged >= COUNT
-        assert way > 0.02  # and it still follows
+            readings = operator.feed.readings
+            assert distance(start, observation["tquat"])[0] < 1e-4
+        is_deflected = True
+        for _ in range(60):
+            observation, _, _, _, info = env.step(operator.act(observation, info))
+        assert distance(start, observation["tquat"])[0] > 0.02  # and it still follows
+        assert operator.feed.readings > readings > 0
         operator.close()
+
+
+def test_reports_of_a_knob(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "knob")
+    knob = os.open(tmp_path / "knob", os.O_RDWR)
+    random_ = random.Random(1)
+    kinds = [struct.pack("<B3h", 1, 0, 0, 0), struct.pack("<B6h", 1, *[0] * 6), struct.pack("<B3h", 2, 0, 0, 0)]
+    device = SpaceMouse(str(tmp_path / "knob"))
+    read = device.read
+
+    def spoil() -> None:  # one at a time, as the kernel gives them
+        os.write(knob, broken(random_, kinds))
+        read()
+
+    flood(device, spoil, lambda is_pushed: os.write(knob, struct.pack("<B3h", 1, 200 * is_pushed, 0, 0)))
+    assert device._reports.damaged >= COUNT
     os.close(knob)
+
+
+def test_bytes_of_a_terminal() -> None:
+    random_ = random.Random(2)
+    good = [b"\x1b[113u", b"\x1b[113;1:3u", b"\x1b[1;2:2P", b"\x1b[0n", b"\x1b[?62;1c", b"\x1b[O"]
+    person, program = socket.socketpair()  # a pseudo-terminal takes a millisecond for each message
+
+    class Connected(Terminal):
+        """A terminal that says when keys are released, and is not that of the program."""
+
+        def open(self) -> None:
+            self._file, self._has_releases, self.time = program.fileno(), True, time.monotonic()
+
+        def close(self) -> None: ...
+
+    keys = Connected([])
+    device = Keyboard(keys=keys)
+    read = device.read
+
+    def spoil() -> None:
+        while True:  # what reads like a key of motion cannot be told from it
+            sent, probe = damaged(random_, random_.choice(good)), TerminalKeys()
+            probe._rest = keys._keys._rest
+            if sent and not any(event.key in MOTIONS or event.kind == "interrupt" for event in probe.feed(sent)):
+                break
+        person.sendall(sent)
+        read()
+
+    flood(device, spoil, lambda is_pushed: person.sendall(b"\x1b[119u" if is_pushed else b"\x1b[0n"))
+    assert keys.damaged > COUNT / 20
+    person.close()
+    program.close()
+
+
+def test_events_of_a_keyboard_of_the_robots_own(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "keys")
+    file = os.open(tmp_path / "keys", os.O_RDWR)
+    random_ = random.Random(3)
+    keys = InputEvents(str(tmp_path / "keys"), "keyboard")
+    keys._file = DeviceFile(keys.path, "keyboard", "")  # a pipe cannot be kept from other programs
+    keys.open = lambda: None  # type: ignore[method-assign]
+    device = Keyboard(keys=keys)
+    read = device.read
+
+    def spoil() -> None:
+        kind, code, value = random_.choice([1, random_.randrange(2, 1 << 16)]), random_.randrange(1 << 16), 1
+        if kind == 1 and code <= HIGHEST:  # a key; then its value is none
+            value = random_.choice([-(1 << 31), -1, 3, (1 << 31) - 1])
+        os.write(file, EVENT.pack(*(random_.randrange(1 << 62) for _ in range(2)), kind, code, value))
+        read()
+
+    flood(device, spoil, lambda is_pushed: os.write(file, EVENT.pack(0, 0, is_pushed, 17, 1)))
+    assert keys.damaged > COUNT / 3
+    os.close(file)
+
+
+def test_messages_of_a_page() -> None:
+    pytest.importorskip("websockets.sync.server", reason="pip install 'robot-control-stack[view]'")
+    random_ = random.Random(4)
+
+    def beat(is_pushed: bool) -> bytes:
+        told = {"time": 1e3 * time.monotonic(), "is_seen": True, "keys": ["w"] if is_pushed else []}
+        return json.dumps(told).encode()
+
+    with PageLink(lambda page: None) as link:
+        link.admit(1)
+        link.leader, page = 1, link._pages[1]
+
+        def hear(message: bytes) -> None:
+            link._hear(1, page, message, time.monotonic())
+
+        # The device waits 0.02 s for news at each reading.
+        flood(
+            Keyboard(keys=PageKeys(link)), lambda: hear(damaged(random_, beat(False))),
+            lambda is_pushed: hear(beat(is_pushed)), together=1000,
+        )  # fmt: skip
+        assert link.damaged > COUNT / 2
+
+
+@pytest.mark.hardware
+def test_answers_of_servos(tmp_path: Path) -> None:
+    pytest.importorskip("serial", reason="pip install 'robot-control-stack[leader]'")
+    began, home = time.monotonic(), np.array(FR3.home)
+    with bus_of("dynamixel", 8) as bus:
+        # At 2048 of each servo the follower is at home, to the last bit.
+        calibration = calibrated(bus.path, signs=(1,) * 7, offsets=tuple(home - 2048 * STEP), near=tuple(home))
+        device: Any = gello(saved(calibration, tmp_path))
+        device.sent_damaged = 0
+
+        def send(is_moving: bool) -> bool:
+            passed = time.monotonic() - began
+            # A leader without a clutch leads once it was moved and rests.
+            off = 40 if passed < 1.0 else round(65 * np.sin(passed)) if is_moving else 0
+            noise = 5 if passed > 3.0 and not is_moving else 0
+            told = bus.tell(positions=dict.fromkeys(range(1, 8), 2048 + off), noise=noise)
+            device.sent_damaged = sum(told["noise"].values())
+            time.sleep(0.01)
+            return device.sent_damaged < COUNT
+
+        lead(device, send, lambda: device.sent_damaged)
 
 
 def broken(random_: random.Random, good: list[bytes]) -> bytes:
