@@ -19,6 +19,8 @@ from rcs.virtual import VirtualProcess
 pytest.importorskip("franky", reason="needs franky-control, the extra 'franka'")
 pytest.importorskip("pupil_apriltags", reason="needs pupil-apriltags, the extra 'calibration'")
 pytestmark = [pytest.mark.gl, pytest.mark.hardware, pytest.mark.slow]
+PATIENT = {"stale_after": 5.0, "arm_stale_after": 5.0}
+"""Of a busy machine."""
 ADDRESS = f"127.{64 + (os.getpid() >> 8) % 64}.{os.getpid() % 250 + 1}.7"
 
 
@@ -30,13 +32,13 @@ def test_hand_eye_over_the_wires_finds_the_camera_where_the_world_has_it(tmp_pat
     with (
         VirtualProcess("fr3", address=ADDRESS, setup=tmp_path / "board.json", cameras=("wrist",)) as virtual,
         rcs.make(replace(setup, cameras=())) as twin,
-        rcs.make(replace(setup, stepping="realtime"), hardware=virtual.site) as env,
+        rcs.make(replace(setup, stepping="realtime"), hardware=replace(virtual.site, **PATIENT)) as env,
     ):
         assert set(env.platform.values()) == {"franka", "webcam"}
         twin.reset()
         rig = mounted.rig(Tour(env).intrinsics("wrist"), options.mount.pose)
         strategy = BoardStrategy(rig, options.board, views=12)
-        look_around(env, strategy, "wrist", speed=1.0, is_free=FreePath(twin, "fr3"))
+        look_around(env, strategy, "wrist", is_free=FreePath(twin, "fr3"))
         found = strategy.solve()
     off = rig.camera_in_mount.inverse() * found.camera_in_mount
     assert 1000 * np.linalg.norm(off.translation) <= 1.0
