@@ -175,6 +175,18 @@ class Grasp(Agent):
         return ("stop",) if self._steps >= 10 else ()
 
 
+def on_devices(driver: str, folder: Path) -> Collection:
+    place = f"{__name__}:{driver}:192.0.2.1"
+    return Collection(
+        setup=dataclasses.replace(SETUP, relative="absolute"),
+        out=folder / "data",
+        episodes=2,
+        agent=Grasp,
+        hardware=Site(arms={"fr3": place}, grippers={"fr3": place}, arm_stale_after=60.0),
+        home_speed=1.0,
+    )
+
+
 @pytest.mark.parametrize("lies_there", [True, False])
 def test_on_devices_a_person_says_whether_it_lies_there(
     lies_there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -183,15 +195,7 @@ def test_on_devices_a_person_says_whether_it_lies_there(
     questions = list[str]()
     monkeypatch.setattr("builtins.input", lambda question: (questions.append(question), next(answers))[1])
     monkeypatch.setattr(Grasp, "told", [])
-    driver = f"{__name__}:Holding:192.0.2.1"
-    collection = Collection(
-        setup=dataclasses.replace(SETUP, relative="absolute"),
-        out=tmp_path / "data",
-        episodes=2,
-        agent=Grasp,
-        hardware=Site(arms={"fr3": driver}, grippers={"fr3": driver}, arm_stale_after=60.0),
-        home_speed=1.0,
-    )
+    collection = on_devices("Holding", tmp_path)
     run(collection)
     assert next(answers, None) is None
     asked = [question for question in questions if question.startswith("The robot has put the cuboid at")]
@@ -230,15 +234,7 @@ def test_a_fault_after_a_success_is_asked_about_and_the_person_places_the_cuboid
         return next(answers)
 
     monkeypatch.setattr("builtins.input", answer)
-    driver = f"{__name__}:Kept:192.0.2.1"
-    collection = Collection(
-        setup=dataclasses.replace(SETUP, relative="absolute"),
-        out=tmp_path / "data",
-        episodes=2,
-        agent=Grasp,
-        hardware=Site(arms={"fr3": driver}, grippers={"fr3": driver}, arm_stale_after=60.0),
-        home_speed=1.0,
-    )
+    collection = on_devices("Kept", tmp_path)
     assert run(collection).kept == 2
     assert "the elbow has had enough" in questions[3] and "Put the cuboid" in questions[5]
     placed = [episode.outcome["placed"] for episode in Dataset.open(collection.out).episodes]

@@ -1,0 +1,124 @@
+"""A session that a person leads with a device in the hand, or takes over: faults, takes and who acted."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rcs_data import Dataset
+
+from rcs.envs import Env
+from rcs.envs.setup import Setup
+from rcs.rollout.interactive.session import Session, playable
+from rcs.teleop import Button, HandReading, Keyboard, Operator
+from tests.teleop.scripted_device import LEVEL, ScriptedDevice, at, held
+
+
+def test_a_device_leads_in_place_of_the_page_and_its_buttons_make_takes(tmp_path: Path) -> None:
+    now = [0.0]
+
+    def script(t: float) -> HandReading:
+        pressed = [name for name, when in (("start", 0.3), ("success", 1.0)) if when < t < when + 0.1]
+        return held(at(0.0, 0.02 * min(t, 1.0), 1.0), *(["clutch"] if t > 0.2 else []), *pressed)  # type: ignore[arg-type]
+
+    def operator(env: Env) -> Operator:
+        device = ScriptedDevice(script, clock=lambda: now[0])
+        return Operator(env, device, clock=lambda: now[0], has_thread=False)
+
+    setup = replace(playable(Setup(task="PickCuboid")), stepping="async")
+    with Session(setup, agent=operator, out=tmp_path / "set") as session:
+        session.let_agent(True)
+        while session.takes is None or not session.takes.ended:
+            now[0] += 1 / 30
+            session.step()
+            assert now[0] < 2.0
+        assert session.seed == 1
+    (episode,) = Dataset.open(tmp_path / "set").episodes
+    assert episode.success
+    places = episode.column("observation/tquat")
+    assert places[-1][1] - places[0][1] == pytest.approx(0.01, abs=5e-3)
+    words = episode.info.feature("notes/actor").words
+    assert {words[int(number) - 1] for number in episode.column("notes/actor")} == {"person"}
+
+
+def test_a_person_at_a_device_goes_on_after_a_fault_and_after_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    pressed: set[Button] = set()
+
+    def operator(env: Env) -> Operator:
+        device = ScriptedDevice(lambda t: held(LEVEL, *pressed), clock=lambda: now[0])
+        return Operator(env, device, clock=lambda: now[0], has_thread=False)
+
+    def press(session: Session, button: Button) -> None:
+        for held_down in ((), (button,), (button,)):
+            pressed.clear()
+            pressed.update(held_down)
+            now[0] += 1 / 30
+            session.advance()
+
+    now = [0.0]
+    setup = replace(playable(Setup(task="Free")), stepping="async")
+    with Session(setup, agent=operator) as session:
+        session.let_agent(True)
+        session.advance()
+        press(session, "stop")
+        assert session.verdict == "over"
+        press(session, "reset")
+        assert (session.verdict, session.seed) == ("running", 1)
+        recoveries = 0
+
+        def recover() -> None:
+            nonlocal recoveries
+            recoveries += 1
+
+        with monkeypatch.context() as broken:
+            broken.setattr(session.env, "recover", recover)
+            broken.setattr(session.env.stack, "faults", lambda: {} if recoveries else {"fr3": "collision at joint 4"})
+            press(session, "front")
+            assert "collision" in session.problem
+            press(session, "reset")
+        assert (session.verdict, session.seed, recoveries) == ("running", 2, 1)
+
+
+class Typed:
+    """Keys of a page, none of which is held."""
+
+    damaged = 0
+
+    def __init__(self) -> None:
+        self.held: set[str] = set()
+        self.pressed: list[str] = []
+
+    @property
+    def time(self) -> float:
+        return time.monotonic()
+
+    def open(self) -> None: ...
+
+    def wait(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+    def close(self) -> None: ...
+
+
+def test_a_take_led_by_keys_after_another_one_has_all_notes_of_them(tmp_path: Path) -> None:
+    setup = replace(playable(Setup(task="Free")), stepping="async")
+    with Session(setup, out=tmp_path / "set") as session:
+        for keys in (None, Keyboard(keys=Typed())):
+            session.obey("start")
+            if keys is not None:
+                session.let_keys(keys, "fr3")
+            end = time.monotonic() + 20
+            session.step()
+            while session.operator is not None and session.operator.news.reading is None:
+                assert time.monotonic() < end
+                session.step()
+            session.obey("success")
+    first, second = Dataset.open(tmp_path / "set").episodes
+    assert np.isnan(first.column("notes/input_time")).all()
+    assert np.isfinite(second.column("notes/input_time")[-1])
+    assert second.info.feature("notes/right_state").words[int(second.column("notes/right_state")[-1]) - 1] == "released"
+    words = second.info.feature("notes/actor").words
+    assert {words[int(one) - 1] for take in (first, second) for one in take.column("notes/actor")} == {"page"}
