@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import os
 import re
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,19 +13,16 @@ import pytest
 
 import rcs
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
-from rcs.hardware import DeviceAddress
 from rcs.hardware.servo_bus import ServoBus
 from rcs.hardware.so101 import FRESH, So101Arm, So101Driver, So101Gripper
-from rcs.hardware.so101_servos import GRIPPER, NAMES, read_calibration
-from rcs.hardware.usb import UsbDevice
-from rcs.robots.so101 import SO101, SO101_GRIPPER
-from rcs.virtual import VirtualProcess, read_events, read_points, read_ticks
+from rcs.hardware.so101_servos import GRIPPER, NAMES
+from rcs.robots.so101 import SO101
+from rcs.virtual import VirtualProcess, read_points, read_ticks
+from tests.hardware.virtual_so101 import PATIENT, devices, events
 
 pytestmark = pytest.mark.hardware
 pytest.importorskip("scservo_sdk", reason="the driver of SO101 arms needs feetech-servo-sdk")
 
-PATIENT = 0.6
-"""Time in which servos must answer where the test is of something else: the machine may be busy [s]."""
 TO = np.array([0.25, 0.3, -0.3, -0.3, 0.2])
 
 
@@ -37,13 +30,6 @@ TO = np.array([0.25, 0.3, -0.3, -0.3, 0.2])
 def virtual(tmp_path: Path) -> Iterator[VirtualProcess]:
     with VirtualProcess("so101", log=tmp_path / "log") as process:
         yield process
-
-
-def devices(virtual: VirtualProcess, **options: object) -> tuple[So101Arm, So101Gripper]:
-    entry = virtual.site.arms["so101"]
-    assert isinstance(entry, DeviceAddress)
-    driver, given = So101Driver(), {**entry.options, "timeout": PATIENT, **options}
-    return driver.arm(entry.address, SO101, given), driver.gripper(entry.address, SO101_GRIPPER, given)
 
 
 def switch_on(arm: So101Arm) -> None:
@@ -82,10 +68,6 @@ def wait_until(is_so, patience: float = 8.0) -> None:
         time.sleep(0.01)
 
 
-def events(log: Path, name: str) -> list[dict]:
-    return [event for event in read_events(log) if event["event"] == name]
-
-
 def test_opening_switches_nothing_on_and_the_first_command_holds_where_the_arm_is(virtual, tmp_path):
     arm, gripper = devices(virtual)
     with arm, gripper:
@@ -94,19 +76,6 @@ def test_opening_switches_nothing_on_and_the_first_command_holds_where_the_arm_i
         assert events(tmp_path / "log", "torque") == []
         switch_on(arm)
         assert [event["servo"] for event in events(tmp_path / "log", "torque")] == list(NAMES[:5])
-
-
-def test_arm_and_gripper_are_found_by_the_serial_number_of_their_board(virtual, monkeypatch):
-    entry = virtual.site.arms["so101"]
-    board = UsbDevice(path="1-2", serial="5735016631")
-    monkeypatch.setattr("rcs.hardware.serial_port.usb_devices", lambda: [board])
-    monkeypatch.setattr("rcs.hardware.serial_port.port_of", lambda device: entry.address.removeprefix("/dev/"))
-    driver = So101Driver()
-    arm = driver.arm("usb:1-2", SO101, entry.options)
-    with arm, driver.gripper("usb:1-2", SO101_GRIPPER, entry.options) as gripper:
-        assert gripper.state().opening == pytest.approx(1.0, abs=0.02)
-    with pytest.raises(InvalidSetup, match="5735016631"), driver.arm("another", SO101, entry.options):
-        pass
 
 
 def test_arm_and_gripper_go_where_they_are_told(virtual):
@@ -152,47 +121,6 @@ def test_the_grippers_torque_and_current_are_capped(virtual):
         gripper.command_opening(0.5, 9.0)
         settings = settings_of(gripper)
         assert int.from_bytes(settings[48:50], "little") == 250
-
-
-@pytest.mark.parametrize("how", ["options", "file"])
-def test_a_calibration_of_another_arm_is_refused_by_joint_and_nothing_is_enabled(virtual, tmp_path, how):
-    calibration = {name: dict(values) for name, values in virtual.site.arms["so101"].options["calibration"].items()}
-    calibration["elbow_flex"]["homing_offset"] += 40
-    calibration["wrist_flex"]["range_max"] -= 9
-    if how == "file":
-        (tmp_path / "so101.json").write_text(json.dumps(calibration))
-    given = calibration if how == "options" else str(tmp_path / "so101.json")
-    arm, _ = devices(virtual, calibration=given)
-    with pytest.raises(DeviceFault, match=r"elbow_flex has the homing_offset.*wrist_flex has the range_max"):
-        arm.open()
-    assert events(tmp_path / "log", "torque") == []
-    right, _ = devices(virtual)  # the bus is free again
-    with right:
-        assert len(right.state().joints) == 5
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (lambda c: c.pop("gripper"), "gripper"),
-        (lambda c: c["elbow_flex"].pop("range_min"), "range_min"),
-        (lambda c: c["elbow_flex"].update(id=9), "the id 3"),
-        (lambda c: c["elbow_flex"].update(range_max="x"), "whole numbers"),
-    ],
-)
-def test_a_calibration_that_is_none_is_refused(change, told):
-    motor = {"drive_mode": 0, "homing_offset": 0, "range_min": 0, "range_max": 4000}
-    calibration = {name: {"id": number, **motor} for number, name in enumerate(NAMES, 1)}
-    assert read_calibration(calibration)["gripper"].id == 6
-    change(calibration)
-    with pytest.raises(InvalidSetup, match=told):
-        read_calibration(calibration)
-
-
-def test_without_a_file_the_servos_calibration_counts(virtual):
-    arm, _ = devices(virtual, calibration=None)
-    with arm:
-        assert np.abs(np.array(arm.state().joints) - SO101.home).max() < 0.01
 
 
 @pytest.mark.parametrize("fault", [("late", "300/100"), ("lose", "1/100"), ("corrupt", "1/100"), ("all",)])
@@ -332,55 +260,6 @@ def test_a_cable_that_was_out_is_found_again_by_recover(tmp_path):
         gripper.recover()
         switch_on(arm)
         assert arm.fault == gripper.fault == ""
-
-
-def test_every_device_checks_the_calibration_that_it_was_given(virtual, tmp_path):
-    entry = virtual.site.arms["so101"]
-    driver, right = So101Driver(), entry.options["calibration"]
-    wrong = {**right, "elbow_flex": {**right["elbow_flex"], "range_max": right["elbow_flex"]["range_max"] - 7}}
-    with (
-        driver.arm(entry.address, SO101, {"calibration": right, "timeout": PATIENT}),
-        driver.gripper(entry.address, SO101_GRIPPER, {"timeout": PATIENT}),
-    ):
-        pass
-    with driver.gripper(
-        entry.address, SO101_GRIPPER, {"timeout": PATIENT}
-    ):  # the driver of a host that stays, and without a file first
-        with pytest.raises(DeviceFault, match="elbow_flex has the range_max"):
-            driver.arm(entry.address, SO101, {"calibration": wrong, "timeout": PATIENT}).open()
-        with driver.arm(entry.address, SO101, {"calibration": right, "timeout": PATIENT}):
-            pass
-
-
-def test_a_servo_of_another_model_is_refused(virtual):
-    virtual.tell("version", "1284")
-    arm, _ = devices(virtual)
-    with pytest.raises(DeviceFault, match=r"shoulder_pan has the model number 1284.*777"):
-        arm.open()
-
-
-def test_a_port_that_is_mute_or_not_there_is_told_within_three_seconds(virtual, tmp_path):
-    virtual.tell("cut")
-    arm, _ = devices(virtual)
-    begin = time.monotonic()
-    with pytest.raises(DeviceFault, match="check the power supply"):
-        arm.open()
-    assert time.monotonic() - begin < 3.0
-    nowhere = So101Driver().arm(str(tmp_path / "ttyACM9"), SO101, {})
-    with pytest.raises(DeviceFault, match="ttyACM9"):
-        nowhere.open()
-
-
-def test_a_second_program_at_one_port_is_refused_and_told_who_has_it(virtual):
-    arm, _ = devices(virtual)
-    with arm:
-        code = (
-            "import sys; from rcs.hardware.so101 import *; from rcs.robots.so101 import SO101\n"
-            "try: So101Driver().arm(sys.argv[1], SO101, {}).open()\nexcept DeviceFault as err: print(err)"
-        )
-        told = subprocess.run([sys.executable, "-c", code, arm.name], capture_output=True, text=True)
-        assert f"process {os.getpid()}" in told.stdout, told.stderr
-        assert arm.fault == ""
 
 
 def test_a_guided_arm_is_a_leader_whose_joints_are_read(virtual, tmp_path):
