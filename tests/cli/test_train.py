@@ -108,16 +108,19 @@ def test_a_person_who_takes_over_from_a_checkpoint_is_not_bound_to_the_length_of
 
 
 @pytest.mark.gl
+@pytest.mark.parametrize(
+    ("cameras", "seen"), [((), ["side", "wrist"]), (("--cameras", "wrist"), ["wrist"]), (("--cameras", "none"), [])]
+)
 def test_what_it_does_is_recorded_with_cameras_that_it_does_not_need(
-    capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path
+    capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path, cameras: tuple[str, ...], seen: list[str]
 ) -> None:
-    options = ("--episodes", "1", "--workers", "1", "--cameras", "wrist", "--image-size", "64", "--no-report")
+    options = ("--episodes", "1", "--workers", "1", "--image-size", "64", "--no-report", *cameras)
     code, told = call(capsys, "collect", str(run), *options, "--out", str(tmp_path / "d"))
     assert code == 0, told
     from rcs_data import Dataset
 
     dataset = Dataset.open(tmp_path / "d")
-    assert dataset.info.setup["cameras"]["names"] == ["wrist"]
+    assert sorted(dataset.info.setup["cameras"]["names"]) == seen
     assert [episode.length for episode in dataset] == [7]
 
 

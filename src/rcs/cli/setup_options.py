@@ -228,7 +228,8 @@ class SetupOptions:
 
         Args:
             stepping: How steps pass; None for the option.
-            usual: Values of options that are not given, without a checkpoint.
+            usual: Values of options that are not given, without a checkpoint; those of cameras also with one that was
+                trained without cameras.
 
         Raises:
             InvalidSetup: An option makes no sense, or the agent is a checkpoint of another task, or there is none.
@@ -240,8 +241,10 @@ class SetupOptions:
             return with_camera_names(changed(Setup(task=self.task), {**usual, **options}))
         from rcs.rl.checkpoint import find_checkpoint
 
-        training = find_checkpoint(self.checkpoint, trust=self.trust).training
-        setup = with_camera_names(changed(training.evaluation_setup, options))
+        trained = find_checkpoint(self.checkpoint, trust=self.trust).training.evaluation_setup
+        if not trained.cameras:
+            options = {**{name: usual[name] for name in usual if name == "cameras"}, **options}
+        setup = with_camera_names(changed(trained, options))
         if not is_path(self.task) and setup.task != self.task:
             raise InvalidSetup(f"The checkpoint {self.agent} was trained for {setup.task}, not for {self.task}.")
         return setup
