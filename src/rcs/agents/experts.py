@@ -114,8 +114,8 @@ class ToyExpert(Script):
 DROP = 0.001
 """Height above its goal at which a cuboid is let go [m]."""
 BLIND_DROP = 0.004
-"""The same for a cuboid that nobody sees on its way [m]: it slips by up to 3 mm in the gripper when the arm swings round,
-and an arm that presses it onto the table stops with a collision."""
+"""The same for a cuboid that nobody sees on its way [m]: it slips by up to 3 mm in the gripper when the arm swings
+round, and an arm that presses it onto the table stops with a collision."""
 WAIT = 2.0
 """Time after letting go at which a cuboid that does not lie where it belongs is picked up once more [s]."""
 LEANS = np.deg2rad([0.0, -15.0, -30.0, 15.0, 30.0])
