@@ -6,6 +6,7 @@ import importlib.util
 import re
 import shlex
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -116,6 +117,12 @@ def test_pages_of_tasks_robots_and_options_are_what_the_code_says(monkeypatch: p
     made: dict[Path, str] = tool("reference_pages").pages()
     stale = [name_of(path) for path, text in made.items() if path.read_text("utf-8") != text]
     assert stale == [], "run: python tools/reference_pages.py"
+
+
+def test_every_extra_is_explained_where_one_installs() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    _, _, table = (ROOT / "docs" / "start.md").read_text("utf-8").partition("| extra | for |\n")
+    assert sorted(re.findall(r"^\| `(\w+)` \|", table.partition("\n\n")[0], re.MULTILINE)) == sorted(extras)
 
 
 def test_the_glossary_defines_each_word_once_in_alphabetical_order() -> None:

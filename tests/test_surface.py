@@ -116,6 +116,11 @@ def test_no_program_beside_the_packages_hides_a_module_of_python() -> None:
     assert [path for path in found if path.stem in sys.stdlib_module_names] == []
 
 
+def test_every_package_that_exports_names_is_there_after_the_import_of_the_first() -> None:
+    found = [name.rpartition(".")[2] for name in LAZY if name.count(".") == 1 and name.startswith("rcs.")]
+    assert [name for name in found if name not in public("rcs")] == []
+
+
 def public(module: str) -> list[str]:
     found = importlib.import_module(module)
     return list(getattr(found, "__all__", [name for name in vars(found) if not name.startswith("_")]))

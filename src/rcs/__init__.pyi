@@ -16,6 +16,7 @@ from rcs import setups as setups
 from rcs import sim as sim
 from rcs import spatial as spatial
 from rcs import tasks as tasks
+from rcs import teleop as teleop
 from rcs import testing as testing
 from rcs import virtual as virtual
 from rcs.envs.cameras import Cameras as Cameras
