@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -71,3 +74,27 @@ def test_a_lens_that_folds_its_picture_over_beyond_the_board_is_no_obstacle() ->
 def test_a_lens_of_another_size_than_the_picture_is_refused(lens: Any) -> None:
     with pytest.raises(InvalidSetup, match=r"240 x 180 px, its lens 480 x 360.*cut"):
         detect(BOARD, np.zeros((180, 240), np.uint8), lens)
+
+
+ENDS = """
+import ctypes
+from rcs.calibration import detection
+c = ctypes.CDLL(None)
+c.malloc.restype, c.malloc.argtypes, c.free.argtypes = ctypes.c_void_p, [ctypes.c_size_t], [ctypes.c_void_p]
+blocks = [c.malloc(72) for _ in range(200)]
+for block in blocks[::2]:
+    c.free(block)  # places of a family's size, between blocks that stay
+detection._detector()
+del detection._local.detector
+for block in blocks[1::2]:
+    c.free(block)
+c.malloc(4096)  # makes the heap look at them
+"""
+
+
+def test_the_end_of_a_detector_leaves_the_heap_whole() -> None:
+    # The library writes into memory that it has freed, which shows only when that is not cached by the thread.
+    tunables = "glibc.malloc.tcache_count=0:glibc.malloc.mmap_max=0"
+    environment = {**os.environ, "GLIBC_TUNABLES": tunables}
+    done = subprocess.run([sys.executable, "-c", ENDS], env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
