@@ -15,7 +15,7 @@ import pytest
 import rcs
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
-from rcs.errors import InvalidSetup
+from rcs.errors import DeviceFault, InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.spatial import Pose
 from rcs.virtual import VirtualProcess
@@ -36,20 +36,28 @@ OFF = 4e-3, 1e-2
 
 
 @pytest.fixture(scope="module", params=[("ur5e", UR5E, "rtde_control"), ("xarm7", XARM7, "xarm")], ids=lambda p: p[0])
-def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Generator[tuple[str, Any]]:
-    """Give a virtual robot's name, and how its arm is reached."""
+def virtual(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Generator[tuple[VirtualProcess, str, Any]]:
+    """Give a virtual robot, its name, and how its arm is reached."""
     name, arm, library = request.param
     if importlib.util.find_spec(library) is None:
         pytest.skip(f"the extra `{arm['driver']}` is not installed")
     setup = tmp_path_factory.mktemp("native") / "setup.json"
     setup.write_text(json.dumps(Setup(task="Free", robot=name, end_effector="robotiq_2f85").to_json()))
     try:
-        with VirtualProcess(name, address=arm["address"], setup=setup):
-            yield name, arm
+        with VirtualProcess(name, address=arm["address"], setup=setup) as process:
+            yield process, name, arm
     except InvalidSetup as err:
         if "ip_unprivileged_port_start" not in str(err):
             raise
         pytest.skip(str(err))
+
+
+@pytest.fixture
+def robot(virtual: tuple[VirtualProcess, str, Any]) -> tuple[str, Any]:
+    """Return a virtual robot's name, and how its arm is reached."""
+    return virtual[1:]
 
 
 def make(robot: tuple[str, Any], **options: Any) -> Env:
@@ -63,6 +71,16 @@ def action(**arm: Any) -> dict[str, Any]:
     return {**arm, "gripper": np.ones(1, np.float32)}
 
 
+def recover(env: Env) -> None:
+    limit = time.monotonic() + 10.0  # a protective stop stays for 5 s
+    while True:
+        try:
+            return env.recover()
+        except DeviceFault:
+            assert time.monotonic() < limit
+            time.sleep(0.5)
+
+
 def test_the_pose_reached_is_the_pose_that_was_sent(robot: tuple[str, Any]) -> None:
     with make(robot, control="tquat", relative="absolute") as env:
         observation, _ = env.reset()
@@ -74,6 +92,31 @@ def test_the_pose_reached_is_the_pose_that_was_sent(robot: tuple[str, Any]) -> N
                 assert not truncated, info
             assert env.stack.executed["tquat"] == pytest.approx(goal.tquat)
             assert Pose.from_tquat(observation["tquat"]).is_close(goal, *OFF)
+
+
+def test_after_a_fault_on_its_way_the_first_pose_counts_from_where_the_arm_is(
+    virtual: tuple[VirtualProcess, str, Any], robot: tuple[str, Any]
+) -> None:
+    process = virtual[0]
+    with make(robot, control="tquat", relative="absolute") as env:
+        start, _ = env.reset()
+        goal = Pose.from_tquat(start["tquat"] + [0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+        is_told = False
+        while True:
+            observation, _, _, truncated, _ = env.step(action(tquat=goal.tquat))
+            if truncated:
+                break
+            if not is_told and np.linalg.norm(observation["tquat"][:3] - start["tquat"][:3]) > 0.03:
+                process.tell("reflex")
+                is_told = True
+        process.tell("clear")
+        time.sleep(0.5)
+        recover(env)
+        stands, _ = env.reset()
+        for _ in range(10):
+            observation, _, _, truncated, info = env.step(action(tquat=stands["tquat"]))
+            assert not truncated, info
+            assert observation["tquat"][:3] == pytest.approx(stands["tquat"][:3], abs=OFF[0])
 
 
 def test_relative_poses_add_up(robot: tuple[str, Any]) -> None:

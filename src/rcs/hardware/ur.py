@@ -205,6 +205,7 @@ class UrArm(StreamedArm):
             self.set_fault(trouble)
 
     def _start(self) -> None:
+        self._ramp = None  # somebody may have moved the arm since
         if self._is_given_way:
             self._is_given_way = False
             self._control.endFreedriveMode()
