@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import rcs
+from rcs.devices import ArmLimits
 from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.envs.env import Env
 from rcs.errors import DeviceFault, InvalidSetup, Refused, WrongOrder
@@ -25,8 +26,8 @@ THERE = {"joints": HOME + 0.2, "gripper": np.zeros(1, np.float32)}
 class TracedArm(FakeArm):
     """Remembers what it was sent, and when."""
 
-    def __init__(self) -> None:
-        super().__init__(limits_of(FR3), start=HOME)
+    def __init__(self, limits: ArmLimits | None = None, start: np.ndarray = HOME) -> None:
+        super().__init__(limits or limits_of(FR3), start=start)
         self.sent: list[tuple[float, np.ndarray]] = []
 
     def _command_joints(self, joints: np.ndarray) -> None:
@@ -95,6 +96,20 @@ def test_without_leave_or_sense_nothing_moves(options: dict[str, Any], error: ty
             env.reset(seed=0, options=options)
         assert not arm.sent
         np.testing.assert_array_equal(arm.body.values, HOME)
+
+
+def test_who_is_found_outside_of_its_range_stays_there_while_another_arm_goes() -> None:
+    narrow = FR3.within(ArmLimits(list(HOME - 0.3), list(HOME + 0.3), list(FR3.velocity_limit)), "narrow")
+    left, right = TracedArm(), TracedArm(limits_of(narrow), HOME + 0.4)
+    site = Site(arms={"left": left, "right": right}, arm_stale_after=60.0)
+    with rcs.make("Free", robot="dual_fr3", end_effector=None, hardware=site, frequency=50.0) as env:
+        env.reset(seed=0, options={"robot": {"left": {"joints": HOME + 0.2}}, "may_move": True, "speed": 0.5})
+        np.testing.assert_allclose(left.body.values, HOME + 0.2, atol=1e-6)
+        np.testing.assert_allclose(right.body.values, HOME + 0.4, atol=1e-9)
+        way = {"joints": HOME}
+        env.reset(options={"robot": {"right": way}, "may_move": True, "speed": 0.5})
+        np.testing.assert_allclose(right.body.values, HOME, atol=1e-6)
+    assert np.abs(np.diff([joints for _, joints in right.sent], axis=0)).max() < 0.03
 
 
 def test_a_fault_on_the_way_stops_all_arms_and_is_told() -> None:

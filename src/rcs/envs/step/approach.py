@@ -145,7 +145,7 @@ class Approach:
                     name=one.name,
                     chain=chain,
                     joints=one.arm.joints,
-                    start=np.clip(measured[chain][keys.JOINTS], box.low, box.high),
+                    start=measured[chain][keys.JOINTS],
                     goal=goal[keys.JOINTS],
                     effector={key: value for key, value in goal.items() if key != keys.JOINTS},
                     speed=np.min([np.array(one.arm.velocity_limit), *speeds], axis=0),
@@ -196,11 +196,14 @@ class _Way:
 
 
 def _stay(stack: Stack) -> Nested:
-    """Return targets with which all robots stay where they are measured."""
+    """Return targets with which all robots stay where they are measured: an arm also outside of its range."""
     stay: Nested = {}
     for name, own in stack.at_rest().items():
         boxes = stack.chains[name].executed_spaces
-        stay[name] = {key: np.clip(value, boxes[key].low, boxes[key].high) for key, value in own.items()}
+        stay[name] = {
+            key: value if key == keys.JOINTS else np.clip(value, boxes[key].low, boxes[key].high)
+            for key, value in own.items()
+        }
     return stay
 
 
