@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,30 @@ def test_without_a_file_the_servos_calibration_counts(virtual):
     arm, _ = devices(virtual, calibration=None)
     with arm:
         assert np.abs(np.array(arm.state().joints) - SO101.home).max() < 0.01
+
+
+def test_the_range_that_a_joint_was_calibrated_for_is_a_limit():
+    motor = {"drive_mode": 0, "homing_offset": 0, "range_min": 0, "range_max": 4000}
+    calibration = {name: {"id": number, **motor} for number, name in enumerate(NAMES, 1)}
+    calibration["shoulder_lift"].update(range_min=1100, range_max=3000)
+    limits = So101Driver().arm("/dev/none", SO101, {"calibration": calibration}).limits
+    half = 950 / 4096 * 2 * np.pi
+    assert half < SO101.joint_upper[1]
+    assert limits.joint_upper == pytest.approx([SO101.joint_upper[0], half, *SO101.joint_upper[2:]])
+    assert limits.joint_lower == pytest.approx([SO101.joint_lower[0], -half, *SO101.joint_lower[2:]])
+
+
+def test_servos_that_were_calibrated_for_less_than_the_limits_are_not_enabled(virtual, tmp_path):
+    entry = virtual.site.arms["so101"]
+    about = replace(SO101, joint_upper=(*SO101.joint_upper[:2], SO101.joint_upper[2] + 0.2, *SO101.joint_upper[3:]))
+    with So101Driver().arm(entry.address, about, {"timeout": PATIENT}) as arm:
+        arm.command_joints(arm.state().joints)
+        limit = time.monotonic() + 5.0
+        while not arm.fault:
+            assert time.monotonic() < limit
+            time.sleep(0.01)
+        assert "elbow_flex was calibrated for" in arm.fault and "option `calibration`" in arm.fault
+    assert events(tmp_path / "log", "torque") == []
 
 
 def test_every_device_checks_the_calibration_that_it_was_given(virtual, tmp_path):

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from math import tau
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from msgspec import Meta
 from rcs_data.options import Record
 
@@ -139,10 +140,27 @@ class So101Arm(StreamedArm):
 
     def _start(self) -> None:
         with self.link as servos:
+            self._require_range(servos)
             servos.tune(ARM)
             self._is_powered = True  # whichever servos are on when one does not answer are released at the end
             servos.power(ARM)
         self._is_led = True
+
+    def _require_range(self, servos: Servos) -> None:
+        """Check that the servos can go wherever the limits allow: the range in a servo is known only now.
+
+        Raises:
+            DeviceFault: The calibrated range of a joint is shorter.
+        """
+        most = np.maximum(-np.array(self.limits.joint_lower), self.limits.joint_upper)
+        for servo, wanted in zip(ARM, most, strict=True):
+            half = servos.calibration[servo].half_range
+            if half < wanted - tau / STEPS:
+                raise DeviceFault(
+                    f"{NAMES[servo - 1]} was calibrated for -{half:.3f} to {half:.3f} rad, and the limits allow "
+                    f"{wanted:.3f} rad. Give LeRobot's calibration file of this arm in the option `calibration`, from "
+                    "which the limits follow."
+                )
 
     def _write(self, point: StreamPoint) -> None:
         if self._trouble:
@@ -265,7 +283,8 @@ class So101Driver(Driver):
         if tuple(about.joints) != NAMES[:5]:
             raise InvalidSetup(f"The driver of SO101 arms cannot drive {about.label}.")
         given = So101Options.from_json(options)
-        return So101Arm(self._servos(address), limits_of(about), options=given, name=address)
+        limits = _within(limits_of(about), given.motors())
+        return So101Arm(self._servos(address), limits, options=given, name=address)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> So101Gripper:
         """Return the gripper of the arm at a serial port."""
@@ -276,3 +295,18 @@ class So101Driver(Driver):
         if not address:
             raise InvalidSetup("The SO101 has no address; give the serial number of its board, or its serial port.")
         return self.link(address, lambda: Servos(address), lambda one: one.bus.close())
+
+
+def _within(limits: ArmLimits, motors: Mapping[str, MotorCalibration] | None) -> ArmLimits:
+    """Return limits of which no joint's range is longer than the one that it was calibrated for."""
+    if motors is None:
+        return limits
+    halves = [motors[name].half_range for name in NAMES[:5]]
+    return ArmLimits(
+        [max(one, -half) for one, half in zip(limits.joint_lower, halves, strict=True)],
+        [min(one, half) for one, half in zip(limits.joint_upper, halves, strict=True)],
+        limits.joint_velocity,
+        joint_acceleration=limits.joint_acceleration,
+        joint_jerk=limits.joint_jerk,
+        joint_effort=limits.joint_effort,
+    )

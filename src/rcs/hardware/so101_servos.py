@@ -70,6 +70,11 @@ class MotorCalibration:
     range_max: int
     """Highest position of the joint."""
 
+    @property
+    def half_range(self) -> float:
+        """Angle from the middle of the range to either end [rad]."""
+        return 0.5 * (self.range_max - self.range_min) * tau / STEPS
+
     def joint(self, position: float) -> float:
         """Return the joint position [rad] for a position of the servo."""
         way = (position - 0.5 * (self.range_min + self.range_max)) * tau / STEPS
