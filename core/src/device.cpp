@@ -226,19 +226,20 @@ void Device::close() {
     deadline_ = kForever;
   }
   OpenDevices::get().remove(*this);
+  const bool is_known = has_fault_;  // a fault from before: whoever has the device was told
   // A target must not outlive the connection: the device would move on unwatched, or at the next `open`.
-  const std::exception_ptr unheld = let_go("hold", &Device::do_hold);
-  const std::exception_ptr unclosed = let_go("close", &Device::do_close);
+  const std::exception_ptr unheld = let_go("hold", &Device::do_hold, is_known);
+  const std::exception_ptr unclosed = let_go("close", &Device::do_close, is_known);
   if (unheld || unclosed) std::rethrow_exception(unheld ? unheld : unclosed);
 }
 
-std::exception_ptr Device::let_go(const char* call, void (Device::*function)()) try {
+std::exception_ptr Device::let_go(const char* call, void (Device::*function)(), bool is_known) try {
   (this->*function)();
   return nullptr;
 } catch (const std::exception& error) {
   const auto words = words_of(error);
   if (!words) return std::current_exception();
-  if (has_fault_) return nullptr;  // whoever has the device was told
+  if (is_known) return nullptr;
   const std::string reason = reason_of(call, error, *words);
   mark_fault(reason);
   try {

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <csignal>
 #include <exception>
+#include <mutex>
 
 #include "host_memory.hpp"
 
@@ -19,6 +20,16 @@ namespace {
 constexpr double kLook = 0.01;
 /// How long a host may take to let go of its devices after its program has ended [s].
 constexpr unsigned kLettingGo = 5;
+
+// Desks that let go of their devices, of the whole process. If one of them takes too long, the process ends.
+std::mutex letting_go;
+int desks_letting_go = 0;
+
+void count_letting_go(int change) {
+  const std::lock_guard lock(letting_go);
+  desks_letting_go += change;
+  if (change > 0 || desks_letting_go == 0) alarm(desks_letting_go == 0 ? 0 : kLettingGo);
+}
 
 // The last line of a message: that of an exception from Python begins with its whole traceback.
 std::string last_line(std::string text) {
@@ -43,7 +54,7 @@ HostDesk::~HostDesk() {
   wake_all(memory_->hold_asked);
   watch_.join();
   tell_fault();
-  if (!is_used_) alarm(0);
+  if (!is_used_) count_letting_go(-1);
   if (process_file_ >= 0) close(process_file_);
   unmap_host_memory(memory_);
 }
@@ -155,7 +166,7 @@ void HostDesk::watch() {
     }
     tell_fault();
     if (is_gone(socket_, process_file_)) {
-      alarm(kLettingGo);  // ends the process if the driver does not let go
+      count_letting_go(1);
       device_.set_fault("its program (process " + std::to_string(program_) + ") has ended");
       is_used_ = false;
       wake_all(memory_->asked);

@@ -113,6 +113,11 @@ HostAnswer HostLink::ask(HostCall call, std::span<const double> values, double v
   return answer;
 }
 
+void HostLink::close() {
+  closing_ = asked_ + 1;  // that of the call which follows
+  ask(HostCall::close);
+}
+
 void HostLink::recover() {
   // Faults from before must not count as new ones.
   struct Recovering {
@@ -184,9 +189,9 @@ void HostLink::require_done(const HostAnswer& answer) {
 bool HostLink::await_end(std::uint32_t number, double seconds) {
   const double limit = monotonic_time() + seconds;
   while (true) {
-    if (is_lost_) refuse();
     const std::uint32_t done = memory_->done;
     if (has_come(done, number)) return true;
+    if (is_lost_) refuse();
     const double left = limit - monotonic_time();
     if (left <= 0.0) return false;
     await_change(memory_->done, done, std::min(left, kLook));
@@ -217,6 +222,7 @@ void HostLink::look_after() {
     await_change(memory_->changes_of_fault, seen_, kLook);
     if (ends_) return;
     const bool has_ended = is_gone(socket_, process_file_);
+    if (const std::uint32_t closing = closing_; has_ended && closing != 0 && has_come(memory_->done, closing)) return;
     tell_of_fault();  // the last thing that it said comes first
     HostText<64> call{};
     if (has_ended) {

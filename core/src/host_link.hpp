@@ -29,6 +29,8 @@ class HostLink {
   /// Ask for a call and wait for its end, or until a command is late.
   HostAnswer ask(HostCall call, std::span<const double> values = {}, double valid_for = kForever, double force = kNaN,
                  double period = 0.0);
+  /// The last call: that the host ends the connection after it is no fault.
+  void close();
   void recover();
   void hold();
   HostMeasured measured();
@@ -50,6 +52,7 @@ class HostLink {
   const int socket_, process_, process_file_;
   HostMemory* const memory_;
   std::uint32_t asked_ = 0;
+  std::atomic<std::uint32_t> closing_ = 0;  // number of the call that closes the device
   std::atomic<std::uint32_t> seen_ = 0;  // changes of the host's fault that the device was told of
   std::atomic<bool> is_recovering_;
   std::atomic<std::uint32_t> late_ = 0;  // the newest command whose end nobody has waited for

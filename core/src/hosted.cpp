@@ -33,7 +33,7 @@ void HostLine::open() { exchange(std::make_shared<HostLink>(device_, connect_(),
 
 void HostLine::close() {
   const auto link = exchange(nullptr);
-  if (link && !link->is_lost()) link->ask(HostCall::close);
+  if (link && !link->is_lost()) link->close();
 }
 
 void HostLine::hold() {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 import time
 from collections.abc import Callable, Generator
 from contextlib import suppress
@@ -18,7 +19,13 @@ import rcs
 from rcs.devices import Arm, Gripper, Hand
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, MissingDependency
 from rcs.hardware import Site, hosted
+from rcs.hardware.franka import FrankaDriver
 from rcs.hardware.hosted import Place
+from rcs.hardware.robotiq import RobotiqDriver
+from rcs.hardware.so101 import So101Driver
+from rcs.hardware.tilburg import TilburgDriver
+from rcs.hardware.ur import UrDriver
+from rcs.hardware.xarm import XarmDriver
 from rcs.robots.fr3 import FR3
 from rcs.robots.tilburg_hand import TILBURG_HAND
 from rcs.testing import ArmContract, GripperContract, HandContract
@@ -196,6 +203,23 @@ def test_what_a_driver_raises_is_its_devices_fault_in_its_words(call: str, tmp_p
         assert (arm.fault, arm.host) == ("", host)
 
 
+def test_a_failure_to_close_is_raised_as_without_a_host(tmp_path: Path) -> None:
+    arm = unruly_arm(tmp_path)
+    arm.open()
+    drop(tmp_path, "close", "raise")
+    with pytest.raises(DeviceFault, match="IndexError: list index out of range"):
+        arm.close()
+    arm.close()  # a second time is harmless
+
+
+def test_opening_and_closing_is_never_a_fault(tmp_path: Path) -> None:
+    arm = unruly_arm(tmp_path)
+    for _ in range(20):
+        with arm:
+            arm.state()
+        assert arm.fault == ""
+
+
 def test_a_command_that_a_driver_refuses_raises_its_words(tmp_path: Path) -> None:
     with unruly_arm(tmp_path) as arm:
         drop(tmp_path, "command", "refuse")
@@ -324,8 +348,19 @@ def test_a_driver_says_whether_its_devices_have_a_host_and_a_site_may_say_otherw
     assert type(arm("fake")).__name__ == "FakeArm"
     assert type(arm("fake", host=True)).__name__ == "HostedArm"
     assert type(arm("sim", host=False)).__name__ == "StandInArm"
+    for driver in (FrankaDriver, RobotiqDriver, So101Driver, TilburgDriver, UrDriver, XarmDriver):  # vendors' libraries
+        assert driver.hosted
     with pytest.raises(InvalidSetup, match="'host' is 'yes'; valid is true or false"):
         arm("fake", host="yes")
+
+
+def test_all_programs_of_a_user_look_for_hosts_in_one_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv(hosted.FOLDER)
+    found = hosted.folder()
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    assert hosted.folder() == found == Path(f"/tmp/rcs-{os.getuid()}")
 
 
 def test_an_environment_runs_on_devices_with_a_host(tmp_path: Path) -> None:

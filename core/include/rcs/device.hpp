@@ -147,7 +147,7 @@ class RCS_API Device {
   void restore_deadline(TimePoint former);
   void mark_fault(const std::string& reason);
   void blame(const char* call, const std::exception& error);
-  std::exception_ptr let_go(const char* call, void (Device::*function)());
+  std::exception_ptr let_go(const char* call, void (Device::*function)(), bool is_known);
   void stop();
   void lapse();
 

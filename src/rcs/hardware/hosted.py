@@ -15,7 +15,6 @@ import socket
 import struct
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
@@ -33,6 +32,8 @@ LONGEST_PATH = 107
 """Most bytes of the path of a Unix socket (man 7 unix)."""
 START = 10.0
 """Timeout for the start of a host [s]; importing this package and NumPy takes 0.3 s on an idle machine."""
+STOP_TIME = 2.5
+"""Timeout for a host that is to stop its devices [s]: it answers when they stand, after 1 s of braking at most."""
 GREETING, DEVICE, STOP, STOPPED = b"here", b"open", b"stop", b"held"
 """Messages on the socket that precede the records; all have the same length."""
 FOLDER = "RCS_HOSTS"
@@ -88,11 +89,8 @@ def folder() -> Path:
     Raises:
         InvalidSetup: It cannot be made, or another user owns it or may enter it.
     """
-    user = Path(f"/run/user/{os.getuid()}")
-    path = Path(
-        os.environ.get(FOLDER)
-        or (user / "rcs" if user.is_dir() else Path(tempfile.gettempdir()) / f"rcs-{os.getuid()}")
-    )
+    # The same for every program of a user: /run/user is there only while somebody is logged in, and TMPDIR may differ.
+    path = Path(os.environ.get(FOLDER) or f"/tmp/rcs-{os.getuid()}")
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as err:
@@ -231,7 +229,7 @@ def _kill(process: int) -> None:
 def stop_hosts() -> dict[str, str]:
     """Hold the devices of all hosts of this user and put them at fault; return the outcome by host name.
 
-    A host that does not answer within a second is killed.
+    A host that does not answer within `STOP_TIME` is killed.
     """
     outcomes = {path.stem: _stop(path) for path in sorted(folder().glob("*.sock"))}
     return {name: outcome for name, outcome in outcomes.items() if outcome}
@@ -239,7 +237,7 @@ def stop_hosts() -> dict[str, str]:
 
 def _stop(path: Path) -> str:
     connection = socket.socket(socket.AF_UNIX)
-    connection.settimeout(1.0)
+    connection.settimeout(STOP_TIME)
     with connection:
         try:
             connection.connect(str(path))

@@ -316,6 +316,8 @@ class RobotiqGripper(Gripper):
 class RobotiqDriver(Driver):
     """Driver of Robotiq grippers, at the IP address of a UR controller, or the path or place of a serial line."""
 
+    hosted = True
+
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> RobotiqGripper:
         """Return a gripper; nothing is connected."""
         return RobotiqGripper(address, about, options)
