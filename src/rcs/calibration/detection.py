@@ -174,7 +174,6 @@ def _detector() -> Any:
         _local.detector = package_of("calibration", "pupil_apriltags").Detector(
             families=FAMILY, nthreads=1, quad_decimate=1.0, refine_edges=True
         )
-        # At its end it frees its families, then writes into them (pupil-labs/apriltags#34); without it knowing them, they
-        # stay.
+        # At its end it frees the families that it knows, then writes into them (pupil-labs/apriltags#34).
         _local.detector.tag_families.clear()
     return _local.detector

@@ -101,7 +101,7 @@ class Site:
     """Cameras of tactile sensors by the name of the sensor, such as `fr3_left` on the left finger of `fr3`."""
     valid_for: float | None = None
     """Time for which a command is valid without a new one [s]; afterwards arms, grippers and hands hold. None for three
-    control periods. In synchronous steps, a command is valid for the longest duration of a step."""
+    control periods. Synchronous steps may take longer: they send their targets again in every period."""
     stale_after: float = 0.5
     """Age of a frame, or of a measurement of a gripper or hand, from which the device counts as stale [s]."""
     arm_stale_after: float = 0.25
