@@ -20,6 +20,7 @@ import numpy as np
 from rcs_data import Dataset, DatasetInfo, DatasetWriter
 from rcs_data.files.feature import Colour
 from rcs_data.files.layout import EPISODES_FOLDER
+from rcs_data.options import require_whole
 
 from rcs.agents import agent_for
 from rcs.devices import lookup
@@ -96,10 +97,8 @@ class Collection(Kept):
         fewest = 1 if self.ray is None else 0
         for name, least in (("episodes", 1), ("seed", 0), ("workers", fewest), ("most_attempts", 1)):
             value = getattr(self, name)
-            if name == "most_attempts" and value is None:
-                continue
-            if not isinstance(value, int) or value < least:
-                raise InvalidSetup(f"{name} is {value}; valid is {least} and more.")
+            if name != "most_attempts" or value is not None:
+                require_whole(name, value, least)
         if self.hardware is not None and (self.workers != 1 or self.ray is not None):
             raise InvalidSetup(
                 f"Real robots are driven by one process of this machine; workers is {self.workers} and ray is "

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.options import require_whole
 
 from rcs.agents import Agent, Pace
 from rcs.envs.env import Env
 from rcs.envs.spaces import Observation
 from rcs.envs.step.judge import DIVERGED, FAULT
-from rcs.errors import InvalidSetup, Refused, SimulationError
+from rcs.errors import Refused, SimulationError
 
 OPEN = 0.5
 """A gripper command of at least this opens."""
@@ -171,8 +172,8 @@ def run_episode(
         InvalidSetup: The agent's rate does not divide the environment's, its repeated actions would add up, or
             `max_steps` is below 1.
     """
-    if max_steps is not None and max_steps < 1:
-        raise InvalidSetup(f"max_steps is {max_steps!r}; valid is a whole number from 1, or None.")
+    if max_steps is not None:
+        require_whole("max_steps", max_steps, 1)
     step: Step | None = None
     try:
         for step in play(env, agent, seed=seed, options=options, max_steps=max_steps):  # noqa: B007  the last one counts

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rcs_data.ledger import Pairs
+from rcs_data.options import require_whole
 from rcs_data.read.verdicts import wilson_interval
 
 from rcs.agents.identity import Identity
@@ -63,9 +64,7 @@ class Evaluation:
         """
         fewest = 1 if self.ray is None else 0
         for name, least in (("episodes", 1), ("seed", 0), ("repeat", 0), ("workers", fewest)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}.")
+            require_whole(name, getattr(self, name), least)
         if self.until is not None and not 0 < self.until < 1:
             raise InvalidSetup(f"until is {self.until!r}; valid is a level between 0 and 1, such as 0.05.")
         if (self.until is None) != (self.against is None) or (self.against is not None and self.out is None):

@@ -10,7 +10,7 @@ from itertools import takewhile
 from typing import Any, Literal, ParamSpec, TypeVar
 
 from gymnasium.vector import AutoresetMode
-from rcs_data.options import accepted, converted
+from rcs_data.options import accepted, converted, require_whole
 
 from rcs.devices import lookup
 from rcs.envs.assemble import assemble, assemble_vec
@@ -26,7 +26,7 @@ from rcs.hardware.site import Site
 from rcs.setups.resolve import AnyLayer, Hardware, devices_of, layers_by_robot, one_of
 from rcs.setups.resolve import resolve as resolve
 from rcs.setups.resolve import site_of as site_of
-from rcs.sim.world import require_count
+from rcs.sim.world import MOST
 
 RENDER_MODES = (None, "rgb_array", "rgb_array_list", "human")
 
@@ -164,8 +164,8 @@ def make_vec(
         >>> envs = rcs.make_vec("PickCuboid", copies=24, robot="fr3")
         >>> observations, infos = envs.reset(seed=0)
     """
-    require_count("copies", copies, 1)
-    require_count("threads", threads, 0)
+    require_whole("copies", copies, 1, MOST)
+    require_whole("threads", threads, 0, MOST)
     copies, threads = int(copies), int(threads)
     if render_mode is not None:  # pyright: ignore[reportUnnecessaryComparison]
         raise InvalidSetup(

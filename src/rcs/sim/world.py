@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.options import require_whole
 
 from rcs import _core
 from rcs._core import StepCallback, StepEnd, StepView
@@ -81,8 +82,8 @@ class World:
         if copies is not None and data is not None:
             raise InvalidSetup("Give data for one copy or copies for many, not both.")
         if copies is not None:
-            require_count("copies", copies, 1)
-            require_count("threads", threads, 0)
+            require_whole("copies", copies, 1, MOST)
+            require_whole("threads", threads, 0, MOST)
         period = control_period(frequency, model.opt.timestep)
         timing = (period.numerator, period.denominator, stepping == "sync", max_substeps)
         self.model = model
@@ -367,16 +368,6 @@ class Callback(StepCallback):
     def call(self, view: StepView) -> bool:
         """Call the function."""
         return bool(self._function(view))
-
-
-def require_count(name: str, value: Any, least: int) -> None:
-    """Check a number of copies or threads.
-
-    Raises:
-        InvalidSetup: It is no whole number, too small, or too large for the core.
-    """
-    if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= MOST:
-        raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least} to {MOST}.")
 
 
 def control_period(frequency: float, physics_step: float) -> Fraction:

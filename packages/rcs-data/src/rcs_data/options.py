@@ -69,6 +69,25 @@ def converted(
     return own
 
 
+def require_whole(name: str, value: Any, least: int = 0, most: int | None = None) -> None:
+    """Check a number that is no field of a record.
+
+    Args:
+        name: Its name, for the message.
+        value: The number, of Python or NumPy.
+        least: Smallest valid one.
+        most: Largest valid one; None for no bound.
+
+    Raises:
+        InvalidSetup: It is no whole number, or out of bounds.
+    """
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not is_whole or value < least or (most is not None and value > most):
+        raise InvalidSetup(
+            f"{name} is {value!r}; valid is a whole number from {least}{'' if most is None else f' to {most}'}."
+        )
+
+
 def accepted(own: dataclasses.Field[Any]) -> str:
     """Return the annotation of what a field of a record takes."""
     annotations = getattr(own.metadata.get("converter"), "__annotations__", {})

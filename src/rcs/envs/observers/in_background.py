@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from rcs_data.options import require_whole
+
 from rcs.envs.observer import Observer, Transition
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup, WrongOrder
@@ -54,8 +56,7 @@ class InBackground(Observer):
         Raises:
             InvalidSetup: The bound is not a whole number from 1, or the observer is a `Recorder`.
         """
-        if isinstance(bound, bool) or not isinstance(bound, int) or bound < 1:
-            raise InvalidSetup(f"bound is {bound!r}; valid is a whole number of steps from 1.")
+        require_whole("bound", bound, 1)
         if isinstance(observer, Recorder):
             raise InvalidSetup("A Recorder has a thread of its own; use Recorder(writer, background=True).")
         self.observer = observer
