@@ -1,4 +1,4 @@
-"""What a longer time step of the physics changes: experts, grips, impacts, and how arms move.
+"""Effects of a longer time step of the physics: experts, grips, impacts, and how arms move.
 
     python benchmarks/physics_step.py                                        # an hour on one core
     python benchmarks/physics_step.py --steps 0.002 0.004 --robots fr3 --tasks Place:fr3
@@ -45,7 +45,7 @@ turn of the base [rad]."""
 
 @dataclass(kw_only=True)
 class Options:
-    """What to measure."""
+    """The measurements to make."""
 
     steps: tuple[float, ...] = (0.002, 0.0025, 0.003, 0.004, 0.005)
     """Time steps of the physics [s]."""

@@ -44,7 +44,7 @@ STEP = tau / 4096
 
 @dataclass
 class Want:
-    """What the person wants at the moment."""
+    """The wishes of the person at the moment."""
 
     pose: Any = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))
     """Pose of the hand [m, xyzw]."""

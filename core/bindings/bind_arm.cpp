@@ -27,7 +27,7 @@ struct PyArm : PyDevice<rcs::Arm> {
 
 void bind_arm(nb::module_& m) {
   using rcs::Arm, rcs::ArmLimits, rcs::ArmState, rcs::CommandKind;
-  nb::enum_<CommandKind>(m, "CommandKind", "What an arm can be told. Every arm takes joints.")
+  nb::enum_<CommandKind>(m, "CommandKind", "Kinds of commands that arms take. Every arm takes joints.")
       .value("joints", CommandKind::joints)
       .value("pose", CommandKind::pose)
       .value("twist", CommandKind::twist)
@@ -47,11 +47,11 @@ void bind_arm(nb::module_& m) {
   def_array(limits, "joint_jerk", &ArmLimits::joint_jerk, "Largest jerks [rad/s³], or empty.");
   def_array(limits, "joint_effort", &ArmLimits::joint_effort, "Largest torques [N·m], or empty.");
 
-  nb::class_<ArmState> state(m, "ArmState", "What an arm measures.");
+  nb::class_<ArmState> state(m, "ArmState", "The measurements of an arm.");
   state.def(nb::init<Values, Values, double, double, Values, Values, Values, std::string>(), "joints"_a,
             "joint_velocities"_a, "time"_a = rcs::kNaN, "device_time"_a = rcs::kNaN, "commanded_joints"_a = Values(),
             "efforts"_a = Values(), "wrench"_a = Values(), "mode"_a = "",
-            "What the arm does not measure is left out; without a `time`, `Arm.state` gives it the present one.");
+            "Leave out what the arm does not measure; without a `time`, `Arm.state` gives it the present one.");
   def_array(state, "joints", &ArmState::joints, "Joint positions [rad].");
   def_array(state, "joint_velocities", &ArmState::joint_velocities, "Joint velocities [rad/s].");
   def_times(state);

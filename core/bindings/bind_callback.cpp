@@ -174,8 +174,8 @@ void bind_callback(nb::module_& m) {
            "How far a target may lead each joint [rad], when targets come every `period` [s].");
   bind_trajectory(m);
   nb::class_<rcs::Springs>(m, "Springs",
-                           "What an arm gives way with when it is pushed. Without numbers, the gains of the position "
-                           "servos are the springs and dampers of the joints.")
+                           "Springs and dampers with which an arm gives way when it is pushed. Without numbers, the "
+                           "gains of the position servos are the springs and dampers of the joints.")
       .def(
           "__init__",
           [](rcs::Springs* self, std::vector<double> stiffness, std::vector<double> damping, int site, int body) {

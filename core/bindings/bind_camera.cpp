@@ -55,7 +55,7 @@ rcs::CameraCalibration make_calibration(const Matrix& matrix, std::vector<double
 
 void bind_camera(nb::module_& m) {
   using rcs::Camera, rcs::CameraCalibration, rcs::CameraMode, rcs::Frame;
-  nb::class_<CameraMode>(m, "CameraMode", "What a camera delivers, and at what size.")
+  nb::class_<CameraMode>(m, "CameraMode", "Mode of a camera: what it delivers, and at what size.")
       .def(nb::init<int, int, double, bool>(), "width"_a, "height"_a, "fps"_a, "has_depth"_a = false)
       .def_ro("width", &CameraMode::width, "Pixels.")
       .def_ro("height", &CameraMode::height, "Pixels.")

@@ -96,11 +96,11 @@ void bind_collision_checker(nb::module_& m) {
           "geoms", [](const rcs::Clearance& c) { return std::pair(c.geoms[0], c.geoms[1]); },
           "Ids of the nearest pair in the model; (-1, -1) when none is nearer than the margin.");
   nb::class_<rcs::Hit>(m, "Hit", "Where a joint motion first comes too near.")
-      .def_ro("fraction", &rcs::Hit::fraction, "Of the motion, 0 to 1, at which a pair was found too near.")
+      .def_ro("fraction", &rcs::Hit::fraction, "Fraction of the motion, 0 to 1, at which a pair was found too near.")
       .def_ro("free_until", &rcs::Hit::free_until,
               "Fraction up to which no pair was too near; 0 when the motion starts so.")
       .def_prop_ro(
-          "distance", [](const rcs::Hit& h) { return h.clearance.distance; }, "Of the pair at `fraction` [m].")
+          "distance", [](const rcs::Hit& h) { return h.clearance.distance; }, "Distance of the pair at `fraction` [m].")
       .def_prop_ro(
           "geoms", [](const rcs::Hit& h) { return std::pair(h.clearance.geoms[0], h.clearance.geoms[1]); },
           "Ids of the pair in the model.");

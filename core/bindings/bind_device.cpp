@@ -40,14 +40,12 @@ void close_device(nb::handle_t<rcs::Device> self) { call_and_keep(self, &rcs::De
 void bind_device(nb::module_& m) {
   nb::class_<rcs::Device>(
       m, "Device",
-      "What all devices share: a name, a connection, and a fault that stays until `recover`.\n\n`name`, `is_open`, "
+      "Base class of all devices: a name, a connection, and a fault that stays until `recover`.\n\n`name`, `is_open`, "
       "`is_guided`, `fault`, `hold` and `set_fault` may be used from any thread at any time, also while\nanother call "
       "is under way. All other calls are for one thread at a time. No call keeps other threads from running. An\nopen "
-      "device stays alive until it is closed; `with device:` opens and closes it.\n\nWhat a function of a driver "
-      "raises "
-      "is the device's fault, in its words, and reaches the caller as DeviceFault. Errors of\n`rcs.errors` pass as "
-      "they "
-      "are; a DeviceFault that a driver raises says the fault.\n\nWhen the program ends, by SIGTERM, by an exception "
+      "device stays alive until it is closed; `with device:` opens and closes it.\n\nAn error that a function of "
+      "a driver raises is the device's fault, in its words, and reaches the caller as DeviceFault.\nErrors of "
+      "`rcs.errors` pass as they are; a DeviceFault that a driver raises says the fault.\n\nWhen the program ends, by SIGTERM, by an exception "
       "or "
       "without a `close`, every open device that moves holds.")
       .def_prop_ro("name", &rcs::Device::name)
@@ -91,7 +89,7 @@ void bind_device(nb::module_& m) {
            "Have the device leave its own fault state, hold where it is now, and only then forget the fault.\n\nRaises "
            "DeviceFault if one of these fails or a new fault comes meanwhile; the device is then in the fault state.")
       .def("close", &close_device,
-           "Hold and let go of the device. Closing twice is harmless.\n\nWhat fails is a fault and is raised when all "
+           "Hold and let go of the device. Closing twice is harmless.\n\nA failure is a fault and is raised when all "
            "is done; nothing is raised in the fault state, which is known.")
       .def(
           "__enter__",

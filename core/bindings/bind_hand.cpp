@@ -30,7 +30,7 @@ struct PyHand : PyDevice<rcs::Hand> {
 
 void bind_hand(nb::module_& m) {
   using rcs::Gripper, rcs::GripperState, rcs::Hand, rcs::HandState;
-  nb::class_<GripperState> gripper_state(m, "GripperState", "What a gripper measures.");
+  nb::class_<GripperState> gripper_state(m, "GripperState", "The measurements of a gripper.");
   gripper_state
       .def(nb::init<double, double, double, double>(), "opening"_a, "force"_a = rcs::kNaN, "time"_a = rcs::kNaN,
            "device_time"_a = rcs::kNaN)
@@ -50,7 +50,7 @@ void bind_hand(nb::module_& m) {
            "Set the opening (0 closed … 1 open) and, where given, the grasping force [N]; ends and raises as "
            "`Arm.command_joints`.\n\nIt has arrived when the fingers stand still: at the target, or on an object.");
 
-  nb::class_<HandState> hand_state(m, "HandState", "What a hand measures.");
+  nb::class_<HandState> hand_state(m, "HandState", "The measurements of a hand.");
   hand_state.def(nb::init<std::vector<double>, double, double>(), "joints"_a, "time"_a = rcs::kNaN,
                  "device_time"_a = rcs::kNaN);
   def_array(hand_state, "joints", &HandState::joints, "Normalised joints, 0 … 1.");

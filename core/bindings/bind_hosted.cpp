@@ -78,7 +78,7 @@ void bind_hosted(nb::module_& m) {
   bind<HostedHand, rcs::Hand>(m, "HostedHand", "A hand whose driver runs in a process of its own.",
                               RCS_HOSTED_INIT("Hand"));
 
-  nb::enum_<HostCall>(m, "HostCall", "What a program asks of the host of a device.")
+  nb::enum_<HostCall>(m, "HostCall", "Requests of a program to the host of a device.")
       .value("joints", HostCall::joints)
       .value("pose", HostCall::pose)
       .value("twist", HostCall::twist)
@@ -98,7 +98,7 @@ void bind_hosted(nb::module_& m) {
       .def_ro("call", &HostRequest::call)
       .def_prop_ro(
           "values", [](const HostRequest& request) { return to_array(request.values); }, nb::rv_policy::move)
-      .def_ro("valid_for", &HostRequest::valid_for, "What is left of the time of a command [s].")
+      .def_ro("valid_for", &HostRequest::valid_for, "Remaining time of a command [s].")
       .def_ro("force", &HostRequest::force, "Grasping force [N], or None.")
       .def_ro("period", &HostRequest::period, "Time between commands to a streamed arm [s]; 0 for the usual one.")
       .def_ro("is_void", &HostRequest::is_void, "Whether the device was held after the program asked.");

@@ -129,7 +129,7 @@ bool are_positive(const std::vector<double>& values) {
 }  // namespace
 
 void bind_kinematics(nb::module_& m) {
-  nb::enum_<rcs::IkStatus>(m, "IkStatus", "What inverse kinematics found.")
+  nb::enum_<rcs::IkStatus>(m, "IkStatus", "The outcome of inverse kinematics.")
       .value("ok", rcs::IkStatus::ok, "The target is reached within the tolerances.")
       .value("clamped", rcs::IkStatus::clamped,
              "The target is farther away than allowed, the answer is the allowed step towards it.")
@@ -161,7 +161,7 @@ void bind_kinematics(nb::module_& m) {
       .def_ro("iterations", &rcs::IkOptions::iterations, "Per attempt.")
       .def_ro("restarts", &rcs::IkOptions::restarts,
               "Further attempts from random joints; 0 keeps to the branch of the start.")
-      .def_ro("damping", &rcs::IkOptions::damping, "Of the least squares.")
+      .def_ro("damping", &rcs::IkOptions::damping, "Damping of the least squares.")
       .def_ro("rotation_weight", &rcs::IkOptions::rotation_weight,
               "How much a radian counts against a metre; below 1 the rotation gives way to the translation.")
       .def_prop_ro(
@@ -177,10 +177,10 @@ void bind_kinematics(nb::module_& m) {
               "TCP. It depends on the path alone; a TCP at rest means an arm at rest.")
       .def_ro("best_effort", &rcs::IkOptions::best_effort,
               "Follow the target: out of reach, answer with the `nearest` pose instead of the start, and beyond "
-              "`max_step` with a step in the direction of the target. What the target does not ask for is kept: a push "
-              "against the end of the reach does not turn the tool, and a turn against a joint's limit does not move "
-              "it. A joint that starts outside its limits goes no farther out, and need not come back.")
-      .def_ro("seed", &rcs::IkOptions::seed, "Of the restarts: same seed, same answer.");
+              "`max_step` with a step in the direction of the target. Everything that the target leaves unchanged is "
+              "kept: a push against the end of the reach does not turn the tool, and a turn against a joint's limit "
+              "does not move it. A joint that starts outside its limits goes no farther out, and need not come back.")
+      .def_ro("seed", &rcs::IkOptions::seed, "Seed of the restarts; the same seed gives the same answer.");
   nb::class_<rcs::VelocityOptions>(m, "VelocityOptions", "How joints may move for a twist of the TCP.")
       .def(
           "__init__",
@@ -215,7 +215,8 @@ void bind_kinematics(nb::module_& m) {
           "rad/s, shape (dof,).")
       .def_ro("status", &rcs::Velocities::status,
               "`clamped`: slower, the same way; `nearest`: the TCP moves otherwise than asked.")
-      .def_ro("share", &rcs::Velocities::share, "Of the speed, 0 to 1; below 1 where a joint is as fast as it may be.")
+      .def_ro("share", &rcs::Velocities::share,
+              "Share of the speed, 0 to 1; below 1 where a joint is as fast as it may be.")
       .def_ro("translation_error", &rcs::Velocities::translation_error,
               "m/s, between what is asked, at this share, and what the joints do.")
       .def_ro("rotation_error", &rcs::Velocities::rotation_error, "rad/s, likewise.");

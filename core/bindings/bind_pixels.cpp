@@ -97,7 +97,7 @@ Args:
     copies: Copies of the world.
     threads: Its threads: how many draw at once.
     camera_ids: Indices of the cameras in the model.
-    width: Of the pictures [pixels].
+    width: Width of the pictures [pixels].
     height: The same.
     is_grayscale: One channel of luma (ITU-R BT.601) instead of red, green and blue.
     stack: Frames of an observation.
@@ -165,7 +165,7 @@ Args:
 
 Args:
     world: The world.
-    uses: What is done with each copy, (copies,) uint8: `KEEP` what was there before, `ADVANCE` (the frames of a stack move
+    uses: The use of each copy, (copies,) uint8: `KEEP` what was there before, `ADVANCE` (the frames of a stack move
         up for the newest), `START` (the newest frame in every place), `REPLACE` the newest frame, or `LEAVE` as it is.)")
       .def_prop_ro("why_opengl", &rcs::PixelCameras::why_opengl, "Why OpenGL draws; empty if it does not.")
       .def_ro_static("KEEP", &kUses[0])

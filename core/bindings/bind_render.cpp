@@ -90,7 +90,7 @@ void bind_render(nb::module_& m) {
     }
   });
 
-  nb::class_<rcs::GlProbe>(m, "GlProbe", "What a look at one OpenGL backend found.")
+  nb::class_<rcs::GlProbe>(m, "GlProbe", "The result of a look at one OpenGL backend.")
       .def_ro("name", &rcs::GlProbe::name, "\"egl\" or \"osmesa\".")
       .def_ro("ok", &rcs::GlProbe::ok, "Whether MuJoCo can draw with it.")
       .def_ro("detail", &rcs::GlProbe::detail, "Renderer and version, or why not and what to do.")
@@ -119,7 +119,7 @@ Args:
     scale_y: The same along y.
     cx: Column of the principal point on the canvas [pixels]; the centre of the top left pixel is (0, 0).
     cy: Its row.
-    width: Of the canvas [pixels]; without a lookup that of the picture.
+    width: Width of the canvas [pixels]; without a lookup that of the picture.
     height: The same.
     lookup: Column and row on the canvas that each pixel shows, shape (height, width, 2) of the picture, float32;
         None for the same ones.)");
@@ -165,7 +165,7 @@ Raises:
           R"(Take over the poses in a data, once for all cameras.
 
 Args:
-    data: Of the renderer's model, after `mj_forward` or `mj_kinematics`, `mj_comPos` and `mj_camlight`.)")
+    data: Data of the renderer's model, after `mj_forward` or `mj_kinematics`, `mj_comPos` and `mj_camlight`.)")
       .def(
           "update_from_state",
           [](rcs::Renderer& self, Given<const double, nb::shape<-1>> state) {
@@ -254,7 +254,8 @@ Args:
     camera_ids: Indices of the cameras in the model.
     rgb: For each camera an array that is filled in place, shape (n, height, width, 3), rows from the top.
     depth: None, or for each camera None or an array that is filled in place, shape (n, height, width) [mm].
-    world: Of as many copies, whose fields of the model row i has those of copy i; None for those of the pool's model.
+    world: A world of as many copies, whose fields of the model row i has those of copy i; None for those of the
+        pool's model.
     ids: None, or for each camera None or an array that is filled in place, shape (n, height, width), as in
         `Renderer.render`.
     lenses: Empty, or for each camera its lens or None.

@@ -27,7 +27,7 @@ void bind_sensor_noise(nb::module_& m) {
       "rgb"_a.noconvert(), "table"_a, "seed"_a, R"(Add noise to colours, in place.
 
 Args:
-    rgb: Of any shape.
+    rgb: Colours of any shape.
     table: Errors of 256 equally likely cases.
     seed: Determines which ones come.)");
   m.def(

@@ -102,7 +102,7 @@ void bind_streamed_arm(nb::module_& m) {
       "`_can_guide`,\nand `_close`; users call what every `Arm` has. `open` connects and reads; the first command, "
       "which must be near the\nmeasured joints, starts the arm. From then on each tick writes a point, within the "
       "limits of position, speed,\nacceleration and jerk. A command whose time is over, `hold` and faults from outside "
-      "brake the arm within these limits,\nand it is led where it stands. What `_read` or `_write` raises, a joint "
+      "brake the arm within these limits,\nand it is led where it stands. Errors of `_read` or `_write`, a joint "
       "that "
       "is not where it is led, and too many missed\nticks are faults that call `_stop` at once; after `recover`, the "
       "next command starts the arm again. An arm that names "
@@ -132,5 +132,5 @@ void bind_streamed_arm(nb::module_& m) {
       .def_prop_ro("missed_ticks", &StreamedArm::missed_ticks, "Ticks left out because the thread came too late.")
       .def_prop_ro("lapses", &StreamedArm::lapses, "Commands whose time was over before the next one.")
       .def_prop_ro("real_time_advice", &StreamedArm::real_time_advice,
-                   "What keeps the thread from running in real time and the line that mends it; may be empty.");
+                   "The obstacle to running the thread in real time and the line that mends it; may be empty.");
 }

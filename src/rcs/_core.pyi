@@ -251,14 +251,14 @@ def xyzw_to_wxyz(xyzw: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.flo
 
 class Device:
     """
-    What all devices share: a name, a connection, and a fault that stays until `recover`.
+    Base class of all devices: a name, a connection, and a fault that stays until `recover`.
 
     `name`, `is_open`, `is_guided`, `fault`, `hold` and `set_fault` may be used from any thread at any time, also while
     another call is under way. All other calls are for one thread at a time. No call keeps other threads from running. An
     open device stays alive until it is closed; `with device:` opens and closes it.
 
-    What a function of a driver raises is the device's fault, in its words, and reaches the caller as DeviceFault. Errors of
-    `rcs.errors` pass as they are; a DeviceFault that a driver raises says the fault.
+    An error that a function of a driver raises is the device's fault, in its words, and reaches the caller as DeviceFault.
+    Errors of `rcs.errors` pass as they are; a DeviceFault that a driver raises says the fault.
 
     When the program ends, by SIGTERM, by an exception or without a `close`, every open device that moves holds.
     """
@@ -327,7 +327,7 @@ class Device:
         """
         Hold and let go of the device. Closing twice is harmless.
 
-        What fails is a fault and is raised when all is done; nothing is raised in the fault state, which is known.
+        A failure is a fault and is raised when all is done; nothing is raised in the fault state, which is known.
         """
 
     def __enter__(self) -> Self: ...
@@ -342,7 +342,7 @@ def stop_all(reason: str) -> None:
     """
 
 class CommandKind(enum.Enum):
-    """What an arm can be told. Every arm takes joints."""
+    """Kinds of commands that arms take. Every arm takes joints."""
 
     joints = 0
 
@@ -389,11 +389,11 @@ class ArmLimits:
         """Largest torques [N·m], or empty."""
 
 class ArmState:
-    """What an arm measures."""
+    """The measurements of an arm."""
 
     def __init__(self, joints: Sequence[float], joint_velocities: Sequence[float], time: float = float('nan'), device_time: float = float('nan'), commanded_joints: Sequence[float] = [], efforts: Sequence[float] = [], wrench: Sequence[float] = [], mode: str = '') -> None:
         """
-        What the arm does not measure is left out; without a `time`, `Arm.state` gives it the present one.
+        Leave out what the arm does not measure; without a `time`, `Arm.state` gives it the present one.
         """
 
     @property
@@ -477,7 +477,7 @@ class Arm(Device):
         """Set the joint torques besides gravity [N·m]."""
 
 class GripperState:
-    """What a gripper measures."""
+    """The measurements of a gripper."""
 
     def __init__(self, opening: float, force: float = float('nan'), time: float = float('nan'), device_time: float = float('nan')) -> None: ...
 
@@ -526,7 +526,7 @@ class Gripper(Device):
         """
 
 class HandState:
-    """What a hand measures."""
+    """The measurements of a hand."""
 
     def __init__(self, joints: Sequence[float], time: float = float('nan'), device_time: float = float('nan')) -> None: ...
 
@@ -564,7 +564,7 @@ class Hand(Device):
         """
 
 class CameraMode:
-    """What a camera delivers, and at what size."""
+    """Mode of a camera: what it delivers, and at what size."""
 
     def __init__(self, width: int, height: int, fps: float, has_depth: bool = False) -> None: ...
 
@@ -723,7 +723,7 @@ class HostedHand(Hand):
         """The number of the process of the host, or 0 where there is none."""
 
 class HostCall(enum.Enum):
-    """What a program asks of the host of a device."""
+    """Requests of a program to the host of a device."""
 
     joints = 0
 
@@ -767,7 +767,7 @@ class HostRequest:
 
     @property
     def valid_for(self) -> float:
-        """What is left of the time of a command [s]."""
+        """Remaining time of a command [s]."""
 
     @property
     def force(self) -> float | None:
@@ -828,7 +828,7 @@ class HostDesk:
 HOST_MEMORY: int = 4472
 
 class IkStatus(enum.Enum):
-    """What inverse kinematics found."""
+    """The outcome of inverse kinematics."""
 
     ok = 0
     """The target is reached within the tolerances."""
@@ -871,7 +871,7 @@ class IkOptions:
 
     @property
     def damping(self) -> float:
-        """Of the least squares."""
+        """Damping of the least squares."""
 
     @property
     def rotation_weight(self) -> float:
@@ -900,12 +900,12 @@ class IkOptions:
     @property
     def best_effort(self) -> bool:
         """
-        Follow the target: out of reach, answer with the `nearest` pose instead of the start, and beyond `max_step` with a step in the direction of the target. What the target does not ask for is kept: a push against the end of the reach does not turn the tool, and a turn against a joint's limit does not move it. A joint that starts outside its limits goes no farther out, and need not come back.
+        Follow the target: out of reach, answer with the `nearest` pose instead of the start, and beyond `max_step` with a step in the direction of the target. Everything that the target leaves unchanged is kept: a push against the end of the reach does not turn the tool, and a turn against a joint's limit does not move it. A joint that starts outside its limits goes no farther out, and need not come back.
         """
 
     @property
     def seed(self) -> int:
-        """Of the restarts: same seed, same answer."""
+        """Seed of the restarts; the same seed gives the same answer."""
 
 class VelocityOptions:
     """How joints may move for a twist of the TCP."""
@@ -949,7 +949,9 @@ class Velocities:
 
     @property
     def share(self) -> float:
-        """Of the speed, 0 to 1; below 1 where a joint is as fast as it may be."""
+        """
+        Share of the speed, 0 to 1; below 1 where a joint is as fast as it may be.
+        """
 
     @property
     def translation_error(self) -> float:
@@ -1127,7 +1129,7 @@ class StreamedArm(Arm):
     and `_close`; users call what every `Arm` has. `open` connects and reads; the first command, which must be near the
     measured joints, starts the arm. From then on each tick writes a point, within the limits of position, speed,
     acceleration and jerk. A command whose time is over, `hold` and faults from outside brake the arm within these limits,
-    and it is led where it stands. What `_read` or `_write` raises, a joint that is not where it is led, and too many missed
+    and it is led where it stands. Errors of `_read` or `_write`, a joint that is not where it is led, and too many missed
     ticks are faults that call `_stop` at once; after `recover`, the next command starts the arm again. An arm that names `more_commands` overrides
     `_write_other(kind, values)` and `_brake_other`; the controller keeps the limits then.
 
@@ -1171,7 +1173,7 @@ class StreamedArm(Arm):
     @property
     def real_time_advice(self) -> str:
         """
-        What keeps the thread from running in real time and the line that mends it; may be empty.
+        The obstacle to running the thread in real time and the line that mends it; may be empty.
         """
 
 class Clearance:
@@ -1192,7 +1194,7 @@ class Hit:
 
     @property
     def fraction(self) -> float:
-        """Of the motion, 0 to 1, at which a pair was found too near."""
+        """Fraction of the motion, 0 to 1, at which a pair was found too near."""
 
     @property
     def free_until(self) -> float:
@@ -1202,7 +1204,7 @@ class Hit:
 
     @property
     def distance(self) -> float:
-        """Of the pair at `fraction` [m]."""
+        """Distance of the pair at `fraction` [m]."""
 
     @property
     def geoms(self) -> tuple[int, int]:
@@ -1454,7 +1456,7 @@ class Trajectory:
 
 class Springs:
     """
-    What an arm gives way with when it is pushed. Without numbers, the gains of the position servos are the springs and dampers of the joints.
+    Springs and dampers with which an arm gives way when it is pushed. Without numbers, the gains of the position servos are the springs and dampers of the joints.
     """
 
     def __init__(self, stiffness: Sequence[float] = [], damping: Sequence[float] = [], tcp_site: int = -1, base_body: int = -1) -> None:
@@ -1601,7 +1603,7 @@ class World:
 
     def preview(self, motion: Motion, target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], copy: int, tick: float) -> NDArray[numpy.float64]:
         """
-        What the next step to a target (dof,) [rad] would do: where the joints are led to (n, dof), from now to the end of the step and while they brake to rest from there, at most every `tick` [s] and at the same times for all motions; in a synchronous step, until they stand. With an empty target, they are told to hold. Nothing changes.
+        Return what the next step to a target (dof,) [rad] would do: where the joints are led to (n, dof), from now to the end of the step and while they brake to rest from there, at most every `tick` [s] and at the same times for all motions; in a synchronous step, until they stand. With an empty target, they are told to hold. Nothing changes.
         """
 
     def on_period(self, callback: StepCallback, period: float) -> None:
@@ -1792,7 +1794,7 @@ class SimGripper(Gripper):
     def __init__(self, name: str, max_width: float, max_force: float, world: World, copy: int, joints: Sequence[int], actuator: int, map: GripperMap) -> None: ...
 
 class GlProbe:
-    """What a look at one OpenGL backend found."""
+    """The result of a look at one OpenGL backend."""
 
     @property
     def name(self) -> str:
@@ -1829,7 +1831,7 @@ class Lens:
             scale_y: The same along y.
             cx: Column of the principal point on the canvas [pixels]; the centre of the top left pixel is (0, 0).
             cy: Its row.
-            width: Of the canvas [pixels]; without a lookup that of the picture.
+            width: Width of the canvas [pixels]; without a lookup that of the picture.
             height: The same.
             lookup: Column and row on the canvas that each pixel shows, shape (height, width, 2) of the picture, float32;
                 None for the same ones.
@@ -1866,7 +1868,7 @@ class Renderer:
         Take over the poses in a data, once for all cameras.
 
         Args:
-            data: Of the renderer's model, after `mj_forward` or `mj_kinematics`, `mj_comPos` and `mj_camlight`.
+            data: Data of the renderer's model, after `mj_forward` or `mj_kinematics`, `mj_comPos` and `mj_camlight`.
         """
 
     def update_from_state(self, state: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
@@ -1942,7 +1944,8 @@ class RenderPool:
             camera_ids: Indices of the cameras in the model.
             rgb: For each camera an array that is filled in place, shape (n, height, width, 3), rows from the top.
             depth: None, or for each camera None or an array that is filled in place, shape (n, height, width) [mm].
-            world: Of as many copies, whose fields of the model row i has those of copy i; None for those of the pool's model.
+            world: A world of as many copies, whose fields of the model row i has those of copy i; None for those of the
+                pool's model.
             ids: None, or for each camera None or an array that is filled in place, shape (n, height, width), as in
                 `Renderer.render`.
             lenses: Empty, or for each camera its lens or None.
@@ -1989,7 +1992,7 @@ class PixelCameras:
             copies: Copies of the world.
             threads: Its threads: how many draw at once.
             camera_ids: Indices of the cameras in the model.
-            width: Of the pictures [pixels].
+            width: Width of the pictures [pixels].
             height: The same.
             is_grayscale: One channel of luma (ITU-R BT.601) instead of red, green and blue.
             stack: Frames of an observation.
@@ -2029,7 +2032,7 @@ class PixelCameras:
 
         Args:
             world: The world.
-            uses: What is done with each copy, (copies,) uint8: `KEEP` what was there before, `ADVANCE` (the frames of a stack move
+            uses: The use of each copy, (copies,) uint8: `KEEP` what was there before, `ADVANCE` (the frames of a stack move
                 up for the newest), `START` (the newest frame in every place), `REPLACE` the newest frame, or `LEAVE` as it is.
         """
 
@@ -2057,7 +2060,7 @@ def add_colour_noise(rgb: Annotated[NDArray[numpy.uint8], dict(order='C', device
     Add noise to colours, in place.
 
     Args:
-        rgb: Of any shape.
+        rgb: Colours of any shape.
         table: Errors of 256 equally likely cases.
         seed: Determines which ones come.
     """

@@ -1,4 +1,4 @@
-"""What can go wrong, named: every error says what was given, what is valid and what to do."""
+"""Named errors for all that can go wrong: every error says what was given, what is valid and what to do."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class PlanningFailed(RcsError, RuntimeError):
         """Keep the reason.
 
         Args:
-            message: What is wrong and what to do.
+            message: Words on what is wrong and what to do.
             reason: `start`, `goal`, `unreachable` or `time`.
         """
         super().__init__(message)

@@ -1,4 +1,4 @@
-"""What goes wrong on a wire: every outcome is a typed error here, and nobody else notices."""
+"""Faults of a wire: every outcome is a typed error here, and nobody else notices."""
 
 from __future__ import annotations
 

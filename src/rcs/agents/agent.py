@@ -15,10 +15,10 @@ from rcs.envs.spaces import Action, Observation
 from rcs.errors import InvalidSetup
 
 _TRAINED, _SERVED = "rcs.rl.policy:TrainedPolicy", "rcs.policy.agent:ServedPolicy"
-"""What a path and an address stand for; by name, for their modules need packages that are not always there."""
+"""Classes that a path and an address stand for; by name, for their modules need packages that are not always there."""
 
 Event = Literal["engage", "release", "start", "success", "failure", "discard", "reset", "takeover", "stop"]
-"""What a person wants besides motion: the clutch; a take that begins, or ends with a verdict or without a trace; the
+"""Wishes of a person besides motion: the clutch; a take that begins, or ends with a verdict or without a trace; the
 next episode; a policy's robot, or to give it back; the end."""
 
 
@@ -61,12 +61,12 @@ class Agent(ABC):
 
     @property
     def failure_message(self) -> str | None:
-        """What went wrong in this episode, for people to read; None if the class says it all."""
+        """Words on what went wrong in this episode, for people to read; None if the class says it all."""
         return None
 
     @property
     def note_fields(self) -> Sequence[Note]:
-        """What `notes` may have, for recordings."""
+        """Fields that `notes` may have, for recordings."""
         return ()
 
     def notes(self) -> Mapping[str, Any]:

@@ -36,7 +36,7 @@ class Identity:
     place: str = ""
     """An address, or the path of a checkpoint."""
     policy: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """What a served policy says of itself."""
+    """Description that a served policy gives of itself."""
     execution: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """How the chunks of a policy are executed, and what it is told to do."""
     modules: tuple[str, ...] = ()
@@ -84,8 +84,8 @@ def code_of(modules: Iterable[str]) -> dict[str, str]:
     """Return hashes of the sources of modules by name; those of this package have one hash together.
 
     Args:
-        modules: Names of modules. Of one that has no file, such as a notebook, every hash is a new one, so that nothing
-            is taken for made by the same code.
+        modules: Names of modules. For one that has no file, such as a notebook, every hash is a new one, so that
+            nothing is taken for made by the same code.
     """
     return {_OWN: _own_code(), **{name: _hash(name) for name in sorted(set(modules)) if not _is_own(name)}}
 

@@ -68,7 +68,7 @@ class PerRobot(Agent):
 
     @property
     def failure_message(self) -> str | None:
-        """What went wrong, agent by agent; None if nothing did."""
+        """Words on what went wrong, agent by agent; None if nothing did."""
         told = {name: pace.agent.failure_message for name, pace in self._paces.items()}
         return "; ".join(f"{name}: {words}" for name, words in told.items() if words) or None
 

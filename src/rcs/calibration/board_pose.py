@@ -43,7 +43,7 @@ def board_poses(board: Board, detections: Detections, intrinsics: Intrinsics) ->
     Args:
         board: The board.
         detections: Its tags in a picture.
-        intrinsics: Of the picture.
+        intrinsics: Intrinsics of the picture.
     """
     if not len(detections):
         return []

@@ -103,7 +103,7 @@ def start(board: Board, views: Sequence[View], arrangement: Arrangement, intrins
     Args:
         board: The board.
         views: The views.
-        arrangement: What carries the camera.
+        arrangement: Whether the camera is on the gripper or beside the robot.
         intrinsics: Intrinsics of their images.
 
     Raises:

@@ -47,7 +47,7 @@ class Detections:
     _rays: dict[Intrinsics, NDArray[np.float64]] = field(
         default_factory=dict[Intrinsics, NDArray[np.float64]], init=False, repr=False
     )
-    """What `rays` has returned: taking out the distortion takes time."""
+    """Results of earlier calls of `rays`, kept because taking out the distortion takes time."""
 
     def __len__(self) -> int:
         """Return the number of tags."""
@@ -61,7 +61,7 @@ class Detections:
         """Return the directions of the corners, x / z and y / z in the optical frame, (n, 4, 2).
 
         Args:
-            intrinsics: Of the picture; its distortion is taken out.
+            intrinsics: Intrinsics of the picture; its distortion is taken out.
         """
         if intrinsics not in self._rays:
             focal, centre = np.array([intrinsics.fx, intrinsics.fy]), np.array([intrinsics.cx, intrinsics.cy])

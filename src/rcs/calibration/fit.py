@@ -47,7 +47,7 @@ class Sightings:
     focal: tuple[float, float]
     """Focal lengths [px]."""
     arrangement: Arrangement
-    """What carries the camera."""
+    """Place of the camera: on the gripper ("eye-in-hand") or beside the robot ("eye-to-hand")."""
 
     @staticmethod
     def of(board: Board, views: Sequence[View], arrangement: Arrangement, intrinsics: Intrinsics) -> Sightings:
@@ -56,8 +56,8 @@ class Sightings:
         Args:
             board: The board.
             views: The views.
-            arrangement: What carries the camera.
-            intrinsics: Of their pictures.
+            arrangement: Whether the camera is on the gripper or beside the robot.
+            intrinsics: Intrinsics of their pictures.
         """
         anchors = [view.anchor_in_mount(arrangement) for view in views]
         counts = [len(view.detections) for view in views]
@@ -90,7 +90,7 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """What is fitted."""
+    """Values of the quantities that are fitted."""
 
     camera: Pose
     """Pose of the camera in its mount."""
@@ -131,7 +131,7 @@ def refine(start: Guess, seen: Sightings) -> Guess:
 
     Args:
         start: Where to begin.
-        seen: What was seen.
+        seen: The sightings.
     """
     found = package_of("calibration", "scipy.optimize").least_squares(
         lambda step: residuals(start.moved(step), seen).ravel(),
@@ -196,7 +196,7 @@ class RobotFit:
     without: list[Guess]
     """The same without each of the views, in the order of their numbers."""
     robot: RobotError
-    """What the robot is off in a view."""
+    """Error of the robot in a view."""
     tag_errors: NDArray[np.float64]
     """Root of the mean squared distance of each tag's corners [px], (n,), less what the robot is off in the view."""
 
@@ -206,8 +206,8 @@ def fit_with_robot(start: Guess, seen: Sightings, robot: RobotError | None = Non
 
     Args:
         start: Where to begin, nearby.
-        seen: What was seen, without wrong tags.
-        robot: What the robot is off; None to find that out, too.
+        seen: The sightings, without wrong tags.
+        robot: Error of the robot; None to find that out, too.
     """
     guess, sizes = start, None
     for _ in range(_ROUNDS):
@@ -231,14 +231,14 @@ def fit_with_robot(start: Guess, seen: Sightings, robot: RobotError | None = Non
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """What each view adds to the normal equations of a guess."""
+    """Contributions of the views to the normal equations of a guess."""
 
     precision: NDArray[np.float64]
     """(v, size, size)."""
     slope: NDArray[np.float64]
     """(v, size)."""
     rest: float
-    """What minus twice the logarithm of the likelihood has besides."""
+    """Further terms of minus twice the logarithm of the likelihood."""
 
     def step(self, *, without: int | None = None) -> NDArray[np.float64]:
         """Return the step to the most likely guess, (size,), of all views or without one."""
@@ -300,7 +300,7 @@ class _Linear:
         """Return the most likely sizes of the errors, as `normal` takes them.
 
         Args:
-            robot: What the robot is off; None to find that out, too.
+            robot: Error of the robot; None to find that out, too.
             near: Where to begin; None for as if only the robot were off.
         """
         if near is None:

@@ -34,7 +34,7 @@ MOST_WRONG = 0.35
 TOO_MUCH = 1.0
 """Root of the mean squared residual from which something is amiss [px]."""
 ROBOT_OFF = (1e-3, np.deg2rad(0.25))
-"""What a robot may be off in a view along and about each axis before something is amiss [m, rad]."""
+"""Largest error of a robot in a view along and about each axis before something is amiss [m, rad]."""
 FOCAL_OFF = 0.004
 """Share by which the given focal lengths may differ from those that explain the pictures best."""
 CENTRE_OFF = 3.0
@@ -50,7 +50,7 @@ class HandEye:
     """Where a camera is, and how well that is known."""
 
     arrangement: Arrangement
-    """What carries the camera."""
+    """Place of the camera: on the gripper ("eye-in-hand") or beside the robot ("eye-to-hand")."""
     camera_in_mount: Pose
     """Pose of the optical frame in the flange (eye in hand) or in the base (eye to hand)."""
     board_in_anchor: Pose
@@ -65,7 +65,7 @@ class HandEye:
     rejected: tuple[tuple[int, int], ...]
     """Tags that were not: number of the view, number of the tag."""
     robot: RobotError
-    """What the robot seems to be off in a view, along [m] and about [rad] each axis of the flange; or as given."""
+    """Error that the robot seems to have in a view, along [m] and about [rad] each axis of the flange; or as given."""
     residual_px: float
     """Root of the mean squared distance between a corner seen and expected, less what the robot is off [px]."""
     held_out_px: float
@@ -82,7 +82,7 @@ class HandEye:
     size_off: float
     """Share by which a larger board explains the motions better."""
     alarms: tuple[str, ...]
-    """What is amiss, in words; empty if all is well."""
+    """Problems found, in words; empty if all is well."""
 
     @property
     def sigma_mm(self) -> float:
@@ -129,8 +129,8 @@ def hand_eye(
         board: The board; a wrong size of its tags is a wrong size of everything.
         views: Views from many poses; those without tags do not count.
         arrangement: Whether the camera is on the gripper.
-        intrinsics: Of the pictures.
-        robot: What the robot is off in a view, along [m] and about [rad] each axis of the flange; None to find that out
+        intrinsics: Intrinsics of the pictures.
+        robot: Error of the robot in a view, along [m] and about [rad] each axis of the flange; None to find that out
             from the views.
 
     Raises:
@@ -287,7 +287,7 @@ def verify(rig: Rig, board: Board, views: Sequence[View]) -> Verification:
     Args:
         rig: Where camera and board are, and how the camera sees.
         board: The board.
-        views: What was seen; views without tags do not count.
+        views: The views; those without tags do not count.
 
     Raises:
         InvalidSetup: The place of the board is not known, or no view shows it.
@@ -318,7 +318,7 @@ def board_offset(
         guess: Poses of camera and board.
         board: The board.
         view: The view.
-        arrangement: What carries the camera.
+        arrangement: Whether the camera is on the gripper or beside the robot.
         intrinsics: Intrinsics of the camera.
     """
     expected = rigid(guess.boards_in_camera(view.anchor_in_mount(arrangement)))

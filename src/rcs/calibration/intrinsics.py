@@ -36,7 +36,7 @@ class IntrinsicsFit:
     """How a camera sees, and how well that is known."""
 
     intrinsics: Intrinsics
-    """What was found."""
+    """Intrinsics that were found."""
     sigma: tuple[float, float, float, float]
     """Standard deviations of fx, fy, cx, cy [px], if errors of corners were independent; they are a little larger."""
     residual_px: float
@@ -65,7 +65,7 @@ class IntrinsicsFit:
 def fit_intrinsics(board: Board, pictures: Sequence[Detections], size: tuple[int, int]) -> IntrinsicsFit:
     """Find how a camera sees.
 
-    Of the distortion k1, k2, p1 and p2 are found; k3 stays 0, because it takes corners at the very border to tell.
+    The fit finds k1, k2, p1 and p2 of the distortion; k3 stays 0, because it takes corners at the very border to tell.
 
     Args:
         board: The board.

@@ -39,7 +39,7 @@ class Motions:
 
     @property
     def lacks(self) -> list[str]:
-        """What is missing, in words; nothing if the set will do."""
+        """Missing motions, in words; nothing if the set will do."""
         missing: list[str] = []
         if self.count < FEWEST:
             missing.append(f"{self.count} views are too few: add {FEWEST - self.count}")

@@ -1,4 +1,4 @@
-"""What is calibrated: a camera on a gripper or beside the robot, and the board that it looks at.
+"""The rig that is calibrated: a camera on a gripper or beside the robot, and the board that it looks at.
 
 Two poses are unknown. `camera_in_mount` is that of the optical frame (x right, y down, z forward) in its mount,
 `board_in_anchor` that of the board in what carries it. With the camera on the gripper ("eye in hand") the mount is the
@@ -28,9 +28,9 @@ class Rig:
     """An arm and a camera that is to be calibrated."""
 
     kinematics: Kinematics
-    """Of the arm's flange in its base frame."""
+    """Kinematics of the arm's flange in its base frame."""
     arrangement: Arrangement
-    """What carries the camera."""
+    """Place of the camera: on the gripper ("eye-in-hand") or beside the robot ("eye-to-hand")."""
     intrinsics: Intrinsics
     """How the camera sees, of pictures of the size that is looked at."""
     camera_in_mount: Pose
@@ -49,13 +49,13 @@ class Rig:
 
     @property
     def moving(self) -> str:
-        """What moves, in words."""
+        """Name of the part that moves, in words."""
         return "the camera" if self.arrangement == "eye-in-hand" else "the board"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:
-    """What was seen from one pose of the robot."""
+    """The tags that were seen from one pose of the robot."""
 
     flange_in_base: Pose
     """Where the flange was."""

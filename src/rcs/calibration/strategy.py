@@ -42,7 +42,7 @@ SMALLEST = 20.0
 NOISE = 0.3
 """Standard deviation of a corner with the errors of the robot [px]."""
 UNSURE = (0.03, 0.1)
-"""What is taken for known before the first view: standard deviations of a pose [m, rad]."""
+"""Uncertainty that is assumed before the first view: standard deviations of a pose [m, rad]."""
 
 
 def suggest(
@@ -58,14 +58,14 @@ def suggest(
     """Return the joints to go to, or None if none of those drawn will do.
 
     Joints are drawn around those from which the board was seen, inside the limits and such that the whole board is in
-    view, large enough and not too slanted. Of them the one is best with which the known determinant of the information
-    about both poses grows most (D-optimal design; Fedorov, "Theory of Optimal Experiments", 1972).
+    view, large enough and not too slanted. The best of them is the one with which the known determinant of the
+    information about both poses grows most (D-optimal design; Fedorov, "Theory of Optimal Experiments", 1972).
 
     Args:
-        rig: What is calibrated.
+        rig: The rig that is calibrated.
         board: The board.
         guess: Where camera and board are, as far as is known.
-        seen: What was seen so far.
+        seen: The sightings so far.
         joints: Where to look around [rad]; the last are the present ones.
         rng: Random numbers.
         is_free: Whether the arm may go there from the present joints; None for anywhere.
@@ -92,7 +92,7 @@ def is_in_view(boards_in_camera: NDArray[np.float64], board: Board, intrinsics: 
     Args:
         boards_in_camera: Poses of the board in the optical frame, (n, 4, 4).
         board: The board.
-        intrinsics: Of the picture.
+        intrinsics: Intrinsics of the picture.
     """
     corners = board.corners.reshape(-1, 3)
     depths = boards_in_camera[:, 2, :3] @ corners.T + boards_in_camera[:, 2, 3:]

@@ -18,7 +18,7 @@ class FiguresCommand:
     ledger: tyro.conf.Positional[Path]
     """Folder of the ledger, as `rcs eval --out` has it."""
     by: str = "policy"
-    """What rates are grouped by: `policy`, `agent`, `task`, `robot`, `domain` (real or simulation), `steps` of
+    """Key that rates are grouped by: `policy`, `agent`, `task`, `robot`, `domain` (real or simulation), `steps` of
     training, a tag such as `mix`, or a path in a condition, such as `setup.frequency` or `execution.mode`. Numbers
     become curves, everything else bars; what else differs, checkpoints among it, is a colour each."""
 

@@ -69,16 +69,16 @@ class RunCommand(SetupOptions):
     episodes: int = 20
     """Number of episodes."""
     instruction: str | None = None
-    """What the policy is told to do; what the task says when not given."""
+    """Instruction to the policy; the one of the task when not given."""
     execution: Annotated[Execution, tyro.conf.OmitArgPrefixes] = field(default_factory=Execution)
     timeout: float = 5.0
     """How long an answer may take by the clock [s]."""
     certificate: str | None = None
     """File with the certificate that a server's must be signed by, for `vlas://` and `wss://`."""
     described_in: Path | None = None
-    """JSON file with the policy's metadata, for `ws://` servers that do not tell them, such as openpi's."""
+    """JSON file with the policy's metadata, for `ws://` servers that do not send them, such as openpi's."""
     hardware: str | None = None
-    """What is real: the JSON file of a site, or `driver:address` for all arms with their end effectors. All else is
+    """Real devices: the JSON file of a site, or `driver:address` for all arms with their end effectors. All else is
     simulated, in real time. A device that fails ends the run."""
     simulation: Annotated[SimulatorOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=SimulatorOptions)
     blind: str | None = None

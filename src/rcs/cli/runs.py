@@ -29,7 +29,7 @@ from rcs.rollout.logbook import differs
 from rcs.rollout.recorded_films import cut_films
 
 ENDING = "Ending after the episodes at work; Ctrl-C again ends at once."
-"""What is told at the first Ctrl-C."""
+"""Message at the first Ctrl-C."""
 
 
 @dataclass(kw_only=True)
@@ -180,7 +180,7 @@ def show(
 
     Args:
         attempts: Each is made when it is asked for.
-        title: What is written before the bar.
+        title: Words before the bar.
         total: How many there shall be in the end, with those that were found.
         console: Where the bar is.
         summary: Their results so far.

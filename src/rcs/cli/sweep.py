@@ -59,9 +59,9 @@ class SweepCommand(SetupOptions):
     episodes: int = 100
     """Number of episodes of each checkpoint."""
     hardware: str | None = None
-    """What is real in further episodes of each checkpoint, after the simulated ones: the JSON file of a site, or
-    `driver:address` for all arms with their end effectors. Who watches them is asked how each went, as by `rcs run
-    --judge`."""
+    """Real devices in further episodes of each checkpoint, after the simulated ones: the JSON file of a site, or
+    `driver:address` for all arms with their end effectors. The person who watches says how each went, as with `rcs
+    run --judge`."""
     real_episodes: int = 20
     """Number of these episodes, with the first seeds of the others."""
     page: str | None = None

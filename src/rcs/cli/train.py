@@ -41,15 +41,15 @@ else:
 class TrainCommand:
     """Train a policy by reinforcement learning and write a report page; with `--policy`, by imitation of a dataset.
 
-    What is not given is that of the task's recipe. The same command, or `--resume`, goes on with a training that was
-    killed, from its last checkpoint, and ends with the same weights. Ctrl-C ends after the update at work, with a
-    checkpoint; a second one at once. `rcs eval RUN` evaluates what was learned.
+    Options that are not given are those of the task's recipe. The same command, or `--resume`, goes on with a training
+    that was killed, from its last checkpoint, and ends with the same weights. Ctrl-C ends after the update at work,
+    with a checkpoint; a second one at once. `rcs eval RUN` evaluates what was learned.
     """
 
     task: Annotated[str, tyro.conf.Positional] = ""
     """Name of the task, such as PickCuboid, or `module:Class`."""
     algo: AlgorithmName = "ppo"
-    """What learns."""
+    """Algorithm that learns."""
     out: Path | None = None
     """Folder of the run; by default `runs/TASK-ROBOT-ALGO-SEED`."""
     resume: Path | None = None
@@ -73,13 +73,13 @@ class TrainCommand:
     policy: LerobotPolicy | None = None
     """In place of a task: a policy that LeRobot trains on `--dataset`, in an environment of its own."""
     dataset: Path | None = None
-    """Of `--policy`: what it learns from."""
+    """With `--policy`: the dataset that it learns from."""
     lerobot_environment: Annotated[Path | None, tyro.conf.arg(name="environment")] = None
-    """Of `--policy`: folder of LeRobot's environment, as `vlagents recipe lerobot` makes it."""
+    """With `--policy`: the folder of LeRobot's environment, as `vlagents recipe lerobot` makes it."""
     state: tuple[str, ...] | None = None
-    """Of `--policy`: features that it is told, as for `rcs data export`; joints and grippers if left out."""
+    """With `--policy`: the features that it receives, as for `rcs data export`; joints and grippers if left out."""
     lerobot: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=VALUE ...]")] = ()
-    """Of `--policy`: LeRobot's own options as NAME=VALUE, such as `batch_size=64`."""
+    """With `--policy`: LeRobot's own options as NAME=VALUE, such as `batch_size=64`."""
 
     def run(self) -> int:
         """Train, print the results and return the exit code."""

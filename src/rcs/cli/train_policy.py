@@ -24,18 +24,18 @@ PROGRAM = "vlagents.policies.lerobot_train"
 
 @dataclass(frozen=True, kw_only=True)
 class Imitation:
-    """What is trained, on what, and where."""
+    """A training by imitation: the policy, its data, and the folders."""
 
     policy: LerobotPolicy
-    """What learns."""
+    """Policy that learns."""
     dataset: Path
-    """What it learns from."""
+    """Dataset that it learns from."""
     environment: Path
     """Folder of LeRobot's environment."""
     out: Path
     """Folder for the export, the recipe and the run."""
     state: tuple[str, ...] | None = None
-    """Features that the policy is told; None for joints and grippers."""
+    """Features that the policy receives; None for joints and grippers."""
     more: tuple[str, ...] = ()
     """LeRobot's own options, such as `--steps=20000`."""
 

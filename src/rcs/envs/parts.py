@@ -1,4 +1,4 @@
-"""What an environment is put together from."""
+"""The parts that an environment is put together from."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from rcs.sim.tactile_mounts import TactilePlacement
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """What an environment is put together from: what a setup names, looked up, and what a user adds."""
+    """The parts that an environment is put together from: those that a setup names, looked up, and those that a user
+    adds."""
 
     setup: Setup
     """The setup itself: numbers and options."""
@@ -29,11 +30,11 @@ class Parts:
     tactile: tuple[TactilePlacement, ...] = ()
     task: Task
     clutter: Clutter | None = None
-    """What lies about besides the objects of the task; None for nothing."""
+    """Things that lie about besides the objects of the task; None for nothing."""
     obstacles: Mapping[str, Obstacle] = field(default_factory=dict[str, Obstacle])
     """Boxes of the lab that stand still, by name."""
     devices: Devices = field(default_factory=Devices)
-    """What is real; all else is simulated."""
+    """Real devices; all else is simulated."""
     layers: Mapping[str, Sequence[Layer]] = field(default_factory=dict[str, Sequence[Layer]])
     """The user's own layers by robot, on top of those of the setup."""
     gates: Sequence[Gate] = ()

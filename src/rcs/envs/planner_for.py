@@ -37,7 +37,7 @@ class SceneChecker(CollisionChecker):
         self._state: tuple[NDArray[np.float64], ...] = (np.array(model.qpos0),)
         self._allowed: list[tuple[str, str]] = []
         self._attached: dict[int, tuple[int, Pose | None, tuple[NDArray[np.float64], ...]]] = {}
-        """What is attached to what, where, and the state in which it was, by body id."""
+        """Attached bodies by id: the body that each is attached to, where, and the state in which it was."""
 
     def take_over(self, other: SceneChecker) -> None:
         """Let what may touch there touch here, and attach what is attached there."""

@@ -53,7 +53,7 @@ class DeviceClock:
 
     @property
     def offset(self) -> float:
-        """What to add to the newest device time for the host's monotonic time [s]; NaN before the first."""
+        """Offset to add to the newest device time for the host's monotonic time [s]; NaN before the first."""
         return self._begin_offset + self._line(self._last[0] - self._begin)
 
     def host_time(self, device_time: float, arrived: float) -> float:

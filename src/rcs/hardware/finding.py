@@ -1,4 +1,4 @@
-"""What an examination of a lab finds, with its remedy."""
+"""Findings of an examination of a lab, with their remedies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is plugged into this machine, as lines for a site file."""
+"""Devices that are plugged into this machine, as lines for a site file."""
 
 from __future__ import annotations
 

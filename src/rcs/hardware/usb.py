@@ -1,4 +1,4 @@
-"""What is plugged into this machine's USB ports, from `/sys`: names that last, the bus and its rate."""
+"""Devices that are plugged into this machine's USB ports, from `/sys`: names that last, the bus and its rate."""
 
 from __future__ import annotations
 

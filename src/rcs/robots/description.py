@@ -40,8 +40,8 @@ Loads = Literal["outer", "drive"]
 class CollisionLimits(Record):
     """Limits of the forces on an arm. An arm that exceeds one goes into its fault state.
 
-    What presses on an arm from outside is felt through its observer. A momentum observer, as arms with known dynamics
-    have, gives the outer torques through a first-order filter (De Luca and Mattone 2005, Haddadin et al. 2017).
+    A force on an arm from outside is felt through its observer. A momentum observer, as arms with known dynamics have,
+    gives the outer torques through a first-order filter (De Luca and Mattone 2005, Haddadin et al. 2017).
     """
 
     joint_torque: tuple[Limit, ...]
@@ -215,7 +215,7 @@ class ArmDescription(Description):
 
     @property
     def motion_limits(self) -> MotionLimits:
-        """What bounds the trajectories of the arm."""
+        """Limits that bound the trajectories of the arm."""
         rates = self.velocity_limit, self.acceleration_limit, self.jerk_limit
         return MotionLimits(list(self.joint_lower), list(self.joint_upper), *map(list, rates))
 

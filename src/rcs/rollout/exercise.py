@@ -147,7 +147,7 @@ CLAUSES: Sequence[tuple[str, Callable[[_Exercise], None]]] = (
     ("a command ends when its time is over", _is_left),
     ("it comes back after that, too", _comes_back),
 )
-"""What is checked, in this order."""
+"""Clauses that are checked, in this order."""
 
 
 def move(site: Site, setup: Setup, may_move: Callable[[str], bool]) -> list[Finding]:

@@ -102,7 +102,7 @@ class Logbook(Closing):
         Args:
             evaluation: The evaluation, which has a folder.
             identity: Who acts.
-            condition: What its episodes share.
+            condition: The condition that its episodes share.
             judge: Who judges, `task` or `person`.
             is_blind: Whether nothing that is written may say who acts.
 
@@ -113,7 +113,7 @@ class Logbook(Closing):
         assert evaluation.out is not None
         self._evaluation, self._identity, self._judge, self._is_blind = evaluation, identity, judge, is_blind
         self.condition = condition
-        """What the episodes share."""
+        """The condition that the episodes share."""
         self.hash = condition.hash
         """Its hash."""
         is_there = evaluation.out.is_dir() and any(evaluation.out.iterdir())

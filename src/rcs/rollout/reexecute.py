@@ -31,7 +31,7 @@ from rcs.rollout.replay import recorded
 from rcs.spatial import distance
 
 Follow = Literal["actions", "states"]
-"""What is executed: the recorded actions, or targets that follow the recorded joints and openings."""
+"""The motion to execute: the recorded actions, or targets that follow the recorded joints and openings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ def reexecute(
     Args:
         source: Folder of the recorded dataset.
         out: Folder of the new dataset; it must not exist.
-        follow: What is executed.
+        follow: The motion to execute.
         setup: The setup of the new episodes, None for the recorded one. Those of actions may differ in what is seen
             only, see `seen_as`. Those of states have absolute joint targets and stiff arms that go on after a
             collision, since the measured ones have given way already and have gone on.

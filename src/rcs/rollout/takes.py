@@ -133,7 +133,7 @@ class Takes:
 
     @property
     def dropped(self) -> int:
-        """What the take under way has left out; see `Recorder.dropped`."""
+        """Number of images and rows that the take under way has left out; see `Recorder.dropped`."""
         return self._recorder.dropped
 
     @property

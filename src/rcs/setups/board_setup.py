@@ -39,7 +39,7 @@ class ShowBoardOptions(Free.Options):
     board: Board = Board()
     """The board."""
     on: Literal["scene", "gripper"] = "scene"
-    """What carries the board: the scene, or the base body of the first robot's gripper."""
+    """Part that carries the board: the scene, or the base body of the first robot's gripper."""
     mount: Mount = Mount(translation=(0.5, 0.0, THICKNESS))
     """Pose of its middle in the frame of what carries it, z out of the printed side."""
 
@@ -121,7 +121,7 @@ def board_setup(
         board: The board; None for the usual one.
         at: A board and its place, instead.
         calibration: Calibration file of the cameras; None for those of the lab.
-        image_size: Of the pictures [px]; None for that of the camera's calibration.
+        image_size: Size of the pictures [px]; None for that of the camera's calibration.
 
     Raises:
         UnknownName: There is no such robot or camera.

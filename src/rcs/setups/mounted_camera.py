@@ -65,14 +65,14 @@ class MountedCamera:
 
     @property
     def arrangement(self) -> Arrangement:
-        """What carries the camera."""
+        """Place of the camera: on the gripper ("eye-in-hand") or beside the robot ("eye-to-hand")."""
         return "eye-to-hand" if self.camera.parent_body == SCENE else "eye-in-hand"
 
     def rig(self, intrinsics: Intrinsics, board: Pose | None = None) -> Rig:
         """Return the rig.
 
         Args:
-            intrinsics: Of the pictures that are looked at.
+            intrinsics: Intrinsics of the pictures that are looked at.
             board: About where the board is, in the scene (camera on the gripper), or in the base body of the gripper;
                 None if nobody knows.
         """
@@ -108,12 +108,13 @@ class MountedCamera:
 
     @property
     def _parent_in_mount(self) -> Pose:
-        """What carries the camera in the setup, in what does for the rig: gripper in flange, or scene in base."""
+        """Pose of the part that carries the camera in the setup, in the part that does for the rig: gripper in flange,
+        or scene in base."""
         return self._gripper_in_flange if self.arrangement == "eye-in-hand" else self._scene_in_base
 
     @property
     def _carrier_in_anchor(self) -> Pose:
-        """What carries the board in the setup, in what does for the rig."""
+        """Pose of the part that carries the board in the setup, in the part that does for the rig."""
         return self._scene_in_base if self.arrangement == "eye-in-hand" else self._gripper_in_flange
 
     @property

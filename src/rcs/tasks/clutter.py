@@ -1,4 +1,4 @@
-"""What makes a task harder: distractors and obstacles of random places, and objects of random sizes."""
+"""Additions that make a task harder: distractors and obstacles of random places, and objects of random sizes."""
 
 from __future__ import annotations
 

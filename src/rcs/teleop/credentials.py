@@ -1,4 +1,4 @@
-"""What another machine needs to lead a robot: a certificate made at first use, and a code that both sides know."""
+"""Credentials for another machine that leads a robot: a certificate made at first use, and a code known to both sides."""
 
 from __future__ import annotations
 

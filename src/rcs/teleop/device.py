@@ -72,7 +72,7 @@ class Reading:
     device_time: float | None = None
     """The same on the device's own clock [s]; None if it has none. One that stands still makes a reading stale."""
     counts: Mapping[str, int] = field(default_factory=dict[str, int])
-    """What the device could not use since `open`, by its kind, such as `damaged` messages."""
+    """Counts of what the device could not use since `open`, by its kind, such as `damaged` messages."""
 
 
 class InputDevice(Closing, ABC):
@@ -93,7 +93,7 @@ class InputDevice(Closing, ABC):
 
     @property
     def instructions(self) -> str:
-        """What the person has to do once the device is open, such as the address of a page; empty for nothing."""
+        """Instructions for the person once the device is open, such as the address of a page; empty for nothing."""
         return ""
 
     @abstractmethod

@@ -43,7 +43,7 @@ SILENT = "no reading yet"
 
 @dataclass(frozen=True, kw_only=True)
 class News:
-    """What has happened since the last question."""
+    """The news since the last question: readings, buttons and requests."""
 
     reading: Reading | None = None
     """The newest reading; None while it is stale, or there is none."""
@@ -108,7 +108,7 @@ class Feed(Closing):
 
     @property
     def left_out(self) -> Counter[str]:
-        """What was left out by their flaw: readings, and messages that the device itself could not use."""
+        """Counts of what was left out, by flaw: readings, and messages that the device itself could not use."""
         with self._lock:
             return self.counts + Counter(self._of_device)
 

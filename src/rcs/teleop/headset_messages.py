@@ -1,4 +1,4 @@
-"""What the page in a headset sends: one message of JSON per picture that the headset shows."""
+"""Messages that the page in a headset sends: one of JSON per picture that the headset shows."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def hand_of(name: str, message: HandMessage | None) -> HandReading:
 
     Args:
         name: `left` or `right`.
-        message: What the page says of it; None for nothing.
+        message: Message of the page about it; None for nothing.
     """
     if message is None:
         return HandReading(is_tracked=False)

@@ -40,7 +40,7 @@ TLS = b"\x16"
 """First byte of a client that speaks TLS."""
 FILES = {"/": ("headset.html", "text/html"), "/headset.js": ("headset.js", "text/javascript")}
 POLICY = "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; connect-src 'self'; img-src blob:"
-"""What the page may load: nothing from elsewhere."""
+"""Content security policy of the page: it may load nothing from elsewhere."""
 WRONG_CODE = "This is not the code that the program shows."
 PLAIN = b"This port speaks TLS. Open the same address with https:// in front.\n"
 
@@ -66,7 +66,7 @@ class HeadsetServer:
         Args:
             host: Address of this machine; 0.0.0.0 for all.
             port: Port; 0 for any.
-            code: What a page has to say before it is heard.
+            code: Code that a page has to send before it is heard.
             tls: Settings with the certificate.
 
         Raises:
@@ -78,7 +78,7 @@ class HeadsetServer:
         self._headers: Any = package_of("teleop", "websockets.datastructures").Headers
         self._closed: Any = package_of("teleop", "websockets.exceptions").ConnectionClosed
         self.counts = Counter[str]()
-        """What could not be used, by kind."""
+        """Counts of what could not be used, by kind."""
         self.frames = queue.Queue[tuple[float, FrameMessage]](WAITING_FRAMES)
         """Frames with the time of their arrival [s, `time.monotonic()`], oldest first."""
         self.sessions = 0

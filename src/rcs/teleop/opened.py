@@ -1,4 +1,4 @@
-"""What a device has open: one thread reads it, and any thread may close it."""
+"""The connection that a device has open: one thread reads it, and any thread may close it."""
 
 from __future__ import annotations
 

@@ -119,13 +119,13 @@ class Operator(Agent):
 
     @property
     def left_out(self) -> list[str]:
-        """What of the device was left out and how often, in words; empty for nothing."""
+        """Words on what was left out of the device's messages and how often; empty for nothing."""
         told = ", ".join(f"{flaw} {number}" for flaw, number in self.feed.left_out.items())
         return [f"left out: {told}"] if told else []
 
     @property
     def note_fields(self) -> Sequence[Note]:
-        """What `notes` has, as of `notes_of`."""
+        """Fields that `notes` has, as `notes_of` gives them."""
         return notes_of(self._hands)
 
     def open(self) -> None:

@@ -39,7 +39,7 @@ class KeyEvent:
     """A key, or an answer of the terminal."""
 
     kind: Kind
-    """What happens: `interrupt` is Ctrl-C, `blur` the loss of the focus; `answer`, `identity` and `protocol` are
+    """Kind of event: `interrupt` is Ctrl-C, `blur` the loss of the focus; `answer`, `identity` and `protocol` are
     answers."""
     key: str = ""
     """Name of the key, such as "w", "space" or "up"."""

@@ -53,7 +53,7 @@ class Source(Protocol):
     """Where tracked devices come from."""
 
     counts: Counter[str]
-    """What could not be used, by kind."""
+    """Counts of what could not be used, by kind."""
 
     def next(self) -> tuple[float, Sequence[Tracked]] | None:
         """Return devices with the time at which they were there [s], or None if there is no news within `POLL`."""
@@ -86,7 +86,7 @@ class Vive(InputDevice):
 
     @property
     def instructions(self) -> str:
-        """What to run on the other machine."""
+        """Command to run on the other machine; empty without one."""
         return self._told
 
     def open(self) -> None:

@@ -61,7 +61,7 @@ class ArmContract(MotionContract[Arm]):
         assert (np.abs(device.state().joint_velocities) <= limit).all()
 
     def test_a_state_has_a_finite_value_for_every_joint(self) -> None:
-        """What the arm does not measure is empty; measurements are copies."""
+        """Arrays that the arm does not measure are empty; measurements are copies."""
         with self.open_device() as arm:
             state = arm.state()
             assert state.joints.shape == state.joint_velocities.shape == (arm.dof,)
@@ -152,7 +152,7 @@ class ArmContract(MotionContract[Arm]):
             assert arm.fault == ""
 
     def test_a_target_is_copied(self) -> None:
-        """What becomes of the array afterwards is no business of the arm."""
+        """Later changes of the array do not reach the arm."""
         with self.open_device() as arm:
             target = self.target_of(arm)
             given = target.copy()
@@ -161,7 +161,7 @@ class ArmContract(MotionContract[Arm]):
             self.require_reached(arm, target)
 
     def test_targets_are_numbers_of_any_kind(self) -> None:
-        """Of single precision, and every second one of a longer array."""
+        """Numbers of single precision, and every second one of a longer array, are accepted."""
         with self.open_device() as arm:
             target = self.target_of(arm)
             for given in (target.astype(np.float32), np.repeat(target, 2)[::2]):

@@ -188,7 +188,7 @@ class CameraContract(DeviceContract[Camera]):
             assert depth.max() > 0
 
     def test_it_is_the_same_camera_when_it_is_opened_again(self) -> None:
-        """What it says of itself, its serial number first, stays; so does its calibration."""
+        """The facts that it states of itself, its serial number first, stay; so does its calibration."""
         with self.open_device() as camera:
             camera.read()
             first, seen = self._identity(camera), camera.calibration

@@ -127,7 +127,7 @@ class EnvContract:
                 _require_inside(env.observation_space, observation)
 
     def test_the_same_seed_gives_the_same_bits_in_another_environment(self) -> None:
-        """Of observations, rewards, flags and infos."""
+        """Observations, rewards, flags and infos have the same bits."""
         with self.env() as one, self.env() as other:
             require_same_bits(self.run(other), self.run(one))
 
@@ -195,7 +195,7 @@ class EnvContract:
 
     @pytest.mark.parametrize("kind", BAD_ACTIONS)
     def test_a_bad_action_is_refused_and_changes_nothing(self, kind: str) -> None:
-        """What follows it is, bit for bit, what follows without it; of several robots it is the last one's."""
+        """The steps after it are, bit for bit, those without it; of several robots it is the last one's."""
         with self.env() as env, self.env() as untouched:
 
             def try_it(_: Any) -> None:
@@ -240,7 +240,7 @@ def require_same_bits(a: Any, b: Any, path: str = "") -> None:
 
     Args:
         a: Dictionaries, sequences, arrays, numbers, in any nesting.
-        b: What it is compared with.
+        b: The other one, to compare it with.
         path: Place in the tree, for the message.
     """
     if isinstance(a, Mapping):
@@ -262,7 +262,7 @@ def require_same_bits(a: Any, b: Any, path: str = "") -> None:
 
 
 ONLY = ""
-"""What stands for the name of a robot that is alone."""
+"""Stand-in for the name of a robot that is alone."""
 
 
 def _robots(env: AnyEnv) -> dict[str, Boxes]:

@@ -81,7 +81,7 @@ class Sensor:
 
 
 class Stream:
-    """What one client gets: a sensor's pictures of one size and rate."""
+    """The pictures that one client gets: those of a sensor, of one size and rate."""
 
     def __init__(self, sensor: Sensor, size: tuple[int, int], fps: float) -> None:
         self.sensor, self.size, self.fps = sensor, size, fps

@@ -1,4 +1,4 @@
-"""What can go wrong, named: every error says what was given, what is valid and what to do."""
+"""Named errors for all that can go wrong: every error says what was given, what is valid and what to do."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class UnknownName(RcsError, KeyError):
         """Build the message: what was given, the nearest match, all known names.
 
         Args:
-            kind: What was looked up, such as "robot".
+            kind: Kind of thing that was looked up, such as "robot".
             given: The name that was asked for.
             known: The names that exist.
             hint: One more sentence on what to do, if there is one.
@@ -69,7 +69,7 @@ def require_fields(kind: str, given: Iterable[object], valid: Iterable[str]) -> 
     """Check the keys of what was read.
 
     Args:
-        kind: What a key is, such as "field of a selection".
+        kind: Name of the kind of key, such as "field of a selection".
         given: The keys.
         valid: The fields that there are.
 

@@ -105,8 +105,8 @@ class Record:
     """
 
     hints: ClassVar[Mapping[str, str]] = {}
-    """What to do instead, in a sentence: by an option that does not exist, such as `fps`, or by an option and a wrong
-    value, such as `control=pose`."""
+    """Hints on what to do instead, in a sentence: by an option that does not exist, such as `fps`, or by an option and
+    a wrong value, such as `control=pose`."""
 
     def __init_subclass__(cls, *, kw_only: bool = True) -> None:
         """Make the subclass a frozen dataclass.

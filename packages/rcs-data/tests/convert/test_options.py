@@ -1,4 +1,4 @@
-"""What every export says about the episodes that it leaves out."""
+"""Every export says something about the episodes that it leaves out."""
 
 from __future__ import annotations
 

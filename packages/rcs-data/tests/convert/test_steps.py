@@ -1,4 +1,4 @@
-"""What formats without rows of their own for slow cameras and silent instructions give back all the same."""
+"""Formats without rows of their own for slow cameras and silent instructions give both back all the same."""
 
 from __future__ import annotations
 

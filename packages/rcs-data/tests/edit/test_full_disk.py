@@ -37,7 +37,7 @@ EDITS: dict[str, Callable[[Path], object]] = {
 
 
 def state(path: Path) -> tuple[str, DatasetInfo, list[str]]:
-    """What a reader sees."""
+    """Return what a reader sees."""
     dataset = Dataset(path)
     return dataset.digest(), dataset.info, [episode.instruction for episode in dataset]
 

@@ -21,7 +21,7 @@ HERE = Path(__file__).parent
 
 
 def state(path: Path) -> tuple[str, DatasetInfo, tuple[str, ...]]:
-    """What a reader sees."""
+    """Return what a reader sees."""
     dataset = Dataset.open(path)
     return dataset.digest(), dataset.info, tuple(episode.instruction for episode in dataset.episodes)
 

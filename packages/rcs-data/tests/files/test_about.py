@@ -1,4 +1,4 @@
-"""What `episode.json` says is checked where it is read, whoever sealed it."""
+"""The statements of `episode.json` are checked where it is read, whoever sealed it."""
 
 from __future__ import annotations
 

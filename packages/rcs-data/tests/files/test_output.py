@@ -1,4 +1,4 @@
-"""What a killed call leaves beside its result is named and removed by the next one, and what lives stays."""
+"""Leftovers of a killed call beside its result are named and removed by the next one, and what lives stays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What tests of the page share: a dataset with pictures."""
+"""Fixtures that tests of the page share: a dataset with pictures."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from rcs.setups.calibration import read_calibration, write_calibration
 from rcs.spatial import Intrinsics
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp")
-"""Of files that are pictures."""
+"""Endings of files that are pictures."""
 
 
 @dataclass(kw_only=True)

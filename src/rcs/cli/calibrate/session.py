@@ -1,4 +1,4 @@
-"""What the commands of `rcs calibrate` that look through a camera share."""
+"""Options and steps that the commands of `rcs calibrate` that look through a camera share."""
 
 from __future__ import annotations
 

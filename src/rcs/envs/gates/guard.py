@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rcs.sim.world import World
 
 OnHit = Literal["reject", "clip", "stop"]
-"""What follows when the way is not free: all devices hold; all robots go the last safe part of their way; all devices
+"""Consequence when the way is not free: all devices hold; all robots go the last safe part of their way; all devices
 hold and the episode ends."""
 
 STEP = 0.002

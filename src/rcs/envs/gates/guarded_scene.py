@@ -126,9 +126,9 @@ class GuardedScene:
         self._own = self._model.jnt_qposadr[[joint for own in self._joints for joint in own]]
         self._seen: list[NDArray[np.float64]] = []
         self._held: dict[int, Held] = {}
-        """What is held, by copy; where it is in the hand changes only when it slips."""
+        """Objects that are held, by copy; where one is in the hand changes only when it slips."""
         self._attached: Held = {}
-        """What is held in the copy that was seen last."""
+        """Objects that are held in the copy that was seen last."""
         if self._world is not None:
             for name in GEOMETRY:
                 values: NDArray[Any] = getattr(self._world.model, name)

@@ -31,7 +31,7 @@ class Limit(Layer):
 
     memory = ("_target", "_measured", "_is_cut", "_is_limited")
     key = JOINTS
-    """What is measured."""
+    """Key of the quantity that is measured and bounded."""
 
     def __init__(self) -> None:
         """Know no place yet."""

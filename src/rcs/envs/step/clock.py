@@ -25,7 +25,7 @@ ROUNDING = 1e-9
 
 
 class Outcome(NamedTuple):
-    """What a simulator of another project says of a step."""
+    """The results of a step, as a simulator of another project reports them."""
 
     reward: float
     """Reward."""

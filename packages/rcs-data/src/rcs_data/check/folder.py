@@ -46,7 +46,7 @@ _UNPRINTABLE = dict.fromkeys(range(32), "�")
 
 @dataclass(frozen=True)
 class Contents:
-    """What is whole of an index and of `dataset.json`, or its copy."""
+    """The undamaged contents of an index and of `dataset.json`, or its copy."""
 
     info: DatasetInfo
     entries: dict[str, Entry]

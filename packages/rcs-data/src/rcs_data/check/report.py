@@ -23,7 +23,7 @@ class Finding:
     file: str
     """The file, relative to the dataset's folder."""
     message: str
-    """What is wrong, and what to do about it."""
+    """Words on what is wrong, and on what to do about it."""
     rows: tuple[int, int] | None = None
     """The first and last row concerned, if known."""
 
@@ -57,7 +57,7 @@ class CheckReport:
     findings: tuple[Finding, ...]
     """The findings: of the dataset first, then by episode."""
     notes: tuple[str, ...] = ()
-    """What could not be checked, and why."""
+    """Words on what could not be checked, and why."""
 
     @property
     def damage(self) -> tuple[Finding, ...]:

@@ -1,1 +1,1 @@
-"""What lies on disk: files of a dataset, each written so that a kill leaves it whole or absent, and read back."""
+"""Files of a dataset on disk, each written so that a kill leaves it whole or absent, and read back."""

@@ -61,7 +61,8 @@ class Feature(Record):
     same of numbers that name what a pixel shows. Only new images are stored: a row without one has that of the row
     before."""
     limits: JointBounds | None = None
-    """Of joint positions: what these joints can do, with which `check` compares them; None where nobody knows."""
+    """Bounds of the joints, for a feature of joint positions, with which `check` compares them; None where nobody
+    knows."""
     words: tuple[str, ...] = ()
     """The words that the numbers stand for: 1 is the first, 0 is none; empty for plain numbers."""
 

@@ -1,4 +1,4 @@
-"""What all episodes of a dataset share: rate, features, setup and instruction, as stored in `dataset.json`."""
+"""Facts that all episodes of a dataset share: rate, features, setup and instruction, as stored in `dataset.json`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Quality = Annotated[int, Meta(ge=1, le=100)]
 
 
 class DatasetInfo(Record):
-    """What every episode of a dataset shares.
+    """The facts that every episode of a dataset shares.
 
     Raises:
         InvalidSetup: A field does not make sense, or the setup is not JSON.
@@ -50,7 +50,7 @@ class DatasetInfo(Record):
     setup: dict[str, Any]
     """The setup that the data came from, as JSON."""
     instruction: str
-    """What the robot is asked to do, in words; an episode may have another one."""
+    """The instruction to the robot, in words; an episode may have another one."""
     schema_version: int = SCHEMA_VERSION
     """The layout on disk."""
     jpeg_quality: Quality = 95
@@ -129,7 +129,7 @@ def refuse_other_schema(version: object, what: str) -> None:
 
     Args:
         version: The schema version that the file states.
-        what: What was read, for the message.
+        what: Name of what was read, for the message.
 
     Raises:
         DatasetError: The version is another one.
@@ -165,12 +165,12 @@ def differences(
 ) -> list[str]:
     """Describe in which fields two infos differ, one line each; versions are not compared.
 
-    What the setup says comes first, then what follows from it.
+    The differences of the setup come first, then those that follow from it.
 
     Args:
-        stored: What a dataset on disk has.
-        given: What a new recording would have.
-        names: What to call the two.
+        stored: The info of a dataset on disk.
+        given: The info of a new recording.
+        names: Names to call the two by.
     """
     one, other = names
     left, right = (dict(_leaves("", _comparable(info))) for info in (stored, given))
@@ -205,7 +205,7 @@ def feature_differences(
     Args:
         stored: One info.
         given: The other.
-        names: What to call the two.
+        names: Names to call the two by.
     """
     alike = replace(
         given,

@@ -1,4 +1,4 @@
-"""What the joints of an arm can do, stored with the column that has their positions."""
+"""Ranges and speeds that the joints of an arm can reach, stored with the column that has their positions."""
 
 from __future__ import annotations
 

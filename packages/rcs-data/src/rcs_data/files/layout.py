@@ -10,7 +10,7 @@ from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.files.text import is_storable
 
 DATASET_FILE = "dataset.json"
-"""What the episodes share; a copy is beside the history."""
+"""File with the facts that the episodes share; a copy is beside the history."""
 INDEX_FILE = "episodes.jsonl"
 """The index: a line per episode."""
 EPISODE_FILE = "episode.json"
@@ -35,7 +35,7 @@ EDIT_FOLDER = ".edit"
 DRAFT_FOLDER = ".edit-draft"
 """An edit in preparation; garbage when its program is gone."""
 TRASH_FOLDER = ".trash"
-"""What is about to be removed."""
+"""Folder of what is about to be removed."""
 QUARANTINE_FOLDER = "quarantine"
 """Damaged files that a repair put aside, unchanged; nothing reads them."""
 FOLDERS = (EPISODES_FOLDER, OPEN_FOLDER, FORMER_FOLDER, HISTORY_FOLDER, QUARANTINE_FOLDER, TRASH_FOLDER)
@@ -64,7 +64,7 @@ def check_name(text: object, what: str) -> None:
 
     Args:
         text: The name.
-        what: What it names, for the message, such as "an episode".
+        what: Kind of thing that it names, for the message, such as "an episode".
 
     Raises:
         InvalidSetup: The name is empty, too long, starts with a dot or has a slash or a control character.

@@ -27,14 +27,14 @@ _CHECKSUM = struct.Struct("<II")  # size and CRC-32
 
 
 class EpisodeHeader(msgspec.Struct, frozen=True, kw_only=True):
-    """What is known of an episode before its first row, stored in the stream's header."""
+    """Facts that are known of an episode before its first row, stored in the stream's header."""
 
     id: str
     """The name of the episode."""
     seed: int | None
     """The seed of the reset."""
     instruction: str
-    """What the robot is asked to do."""
+    """The instruction to the robot."""
     started: str
     """Wall clock at the start, ISO 8601 in UTC."""
     versions: dict[str, str]
@@ -95,7 +95,8 @@ class StreamReader:
     """The readable part of a stream.
 
     Attributes:
-        header: What was known of the episode at its start; None if that cannot be read, and then no rows can.
+        header: The facts that were known of the episode at its start; None if that cannot be read, and then no rows
+            can.
         schema: The columns; None likewise.
         is_torn: Whether unreadable data follow the last batch; known once the batches were read.
     """

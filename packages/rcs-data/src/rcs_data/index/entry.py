@@ -1,4 +1,4 @@
-"""What the index has of an episode: a line of `episodes.jsonl`, with its checksum inside."""
+"""The entry of an episode in the index: a line of `episodes.jsonl`, with its checksum inside."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CHECKSUM = b',"checksum":"'
 
 
 class Entry(msgspec.Struct, frozen=True, kw_only=True, gc=False):
-    """What the index has of an episode, so that most questions need no other file."""
+    """The entry of an episode in the index, so that most questions need no other file."""
 
     id: str
     """The name, unique in the dataset."""
@@ -32,7 +32,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     content_hash: str
     """As in `episode.json`."""
     instruction: str | None
-    """What the robot was asked to do; None for the dataset's instruction."""
+    """The instruction that the robot had; None for the dataset's instruction."""
     failure: str | None
     """Why it failed, as the outcome says."""
 

@@ -50,7 +50,7 @@ class Edit(msgspec.Struct, frozen=True, kw_only=True):
     number: int
     """The number of the edit, from 1; what it wrote has the number in its folder's name."""
     command: str
-    """What was done, such as "delete" or "undo"."""
+    """The command that made the edit, such as "delete" or "undo"."""
     arguments: dict[str, Any]
     """Its arguments, as JSON values."""
     at: str
@@ -62,7 +62,7 @@ class Edit(msgspec.Struct, frozen=True, kw_only=True):
     index: int
     """CRC-32 of the index after it, by which an undo sees that nothing came since."""
     dataset: dict[str, Any] | None
-    """What the episodes shared before, if the edit changed that."""
+    """The facts that the episodes shared before, if the edit changed them."""
 
 
 _DECODER = msgspec.json.Decoder(Edit)
@@ -154,10 +154,10 @@ class Draft:
         """Make the edit.
 
         Args:
-            command: What is done, for the history.
+            command: Name of the command, for the history.
             arguments: Its arguments, as JSON values.
             entries: The entries after it, by id.
-            info: What the episodes share after it.
+            info: The facts that the episodes share after it.
 
         Raises:
             OSError: The disk is full, also without the dataset's reserve, or fails; nothing has changed.

@@ -36,7 +36,7 @@ _TAIL = 32
 
 
 class Index:
-    """What a dataset's files say that it is; `refresh` takes in what was appended since."""
+    """The contents of a dataset, as its files state them; `refresh` takes in what was appended since."""
 
     def __init__(self, root: Path) -> None:
         """Read it.

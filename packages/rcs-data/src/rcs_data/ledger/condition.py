@@ -1,4 +1,4 @@
-"""What episodes of an evaluation share: everything that their results may depend on, besides the seed."""
+"""The condition that episodes of an evaluation share: everything that their results may depend on, besides the seed."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 from rcs_data.options import Natural, Record
 
 _DIGITS = 16
-"""Of a hash: two of a million conditions share them with a probability of 3e-8."""
+"""Digits of a hash: two of a million conditions share them with a probability of 3e-8."""
 
 
 class Condition(Record):
-    """What episodes of an evaluation share. A change of any field is another condition."""
+    """The facts that episodes of an evaluation share. A change of any field is another condition."""
 
     agent: str
     """Name of the agent, such as `pick@40000`."""
@@ -26,7 +26,7 @@ class Condition(Record):
     data: str | None = None
     """Hash of the data that it was trained on; None if that is not known."""
     policy: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """What a served policy says of itself."""
+    """Description that a served policy gives of itself."""
     execution: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """How the chunks of a policy are executed, and what it is told to do."""
     task: str

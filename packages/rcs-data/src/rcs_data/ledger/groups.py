@@ -22,7 +22,7 @@ KEYS: Mapping[str, Callable[[Condition], Any]] = {
     "domain": lambda one: "real" if one.is_real else "simulation",
     STEPS: lambda one: one.trained,
 }
-"""What rates are grouped by: the agent's name without its steps, its whole name, and so on. Tags are keys, too."""
+"""Keys that rates are grouped by: the agent's name without its steps, its whole name, and so on. Tags are keys, too."""
 _NAMED = ("policy", "task", "robot", "domain")
 _SHA256, _DIGITS = 64, 16
 """Digits of a hash, and of one in the name of a series."""
@@ -33,7 +33,7 @@ class Group:
     """Episodes that have a value of the key, and are alike in what else a line or a colour stands for."""
 
     series: str
-    """What line or colour they belong to; empty if there is one."""
+    """The line or colour that they belong to; empty if there is one."""
     value: Any
     """The value of the key."""
     verdicts: Verdicts

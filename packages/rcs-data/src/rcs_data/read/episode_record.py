@@ -37,8 +37,8 @@ class EpisodeRecord:
 
         Args:
             path: Its folder, as the index has it.
-            info: What the dataset's episodes share.
-            entry: What the index has of it; None to take that from `episode.json`.
+            info: The facts that the dataset's episodes share.
+            entry: Its entry in the index; None to take that from `episode.json`.
         """
         self._text = path
         self.info = info
@@ -60,7 +60,7 @@ class EpisodeRecord:
 
     @cached_property
     def entry(self) -> Entry:
-        """What the index has of it."""
+        """The entry of the episode in the index."""
         return self._given or Entry.of(read_about(self.path), self.path.name, self.info)
 
     @property
@@ -95,12 +95,12 @@ class EpisodeRecord:
 
     @property
     def instruction(self) -> str:
-        """What the robot was asked to do."""
+        """The instruction that the robot had."""
         return self.info.instruction if self.entry.instruction is None else self.entry.instruction
 
     @property
     def outcome(self) -> dict[str, Any]:
-        """What else is known about how it went."""
+        """Everything else that is known about how it went."""
         return self.about["outcome"]
 
     @property

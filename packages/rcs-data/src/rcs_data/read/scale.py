@@ -55,7 +55,7 @@ class Scaler:
 
 
 Taps = list[tuple[NDArray[np.intp], NDArray[np.float32]]]
-"""Of every new pixel of a line one more old one, and its weight [1/4096]; both (target,)."""
+"""One more old pixel for every new pixel of a line, and its weight [1/4096]; both (target,)."""
 
 
 def _sum(taps: Taps, pixels: NDArray[Any]) -> NDArray[np.float32]:

@@ -74,7 +74,7 @@ def state_layout(info: DatasetInfo, keys: Sequence[str] | None = None) -> Vector
     """Return the layout of states: joints, then gripper or hand, robot by robot.
 
     Args:
-        info: What the dataset's episodes share.
+        info: The facts that the dataset's episodes share.
         keys: Other features, such as ("observation/tquat", "observation/gripper"); None for the default.
 
     Raises:
@@ -91,7 +91,7 @@ def action_layout(info: DatasetInfo, keys: Sequence[str] | None = None) -> Vecto
     """Return the layout of actions: the arm's part, then gripper or hand, robot by robot.
 
     Args:
-        info: What the dataset's episodes share.
+        info: The facts that the dataset's episodes share.
         keys: Other features, such as ("executed/joints", "executed/gripper"); None for the default.
 
     Raises:
@@ -115,9 +115,9 @@ class Trajectory:
     """The steps of one episode, one fewer than rows."""
 
     states: NDArray[np.float64]
-    """What was seen before each step, shape (steps, state)."""
+    """The state that was seen before each step, shape (steps, state)."""
     actions: NDArray[np.float64]
-    """What was done in each step, shape (steps, action)."""
+    """The action of each step, shape (steps, action)."""
     rewards: NDArray[np.float64]
     """The reward of each step, shape (steps,); 0 where the dataset has none."""
     terminated: NDArray[np.bool_]

@@ -53,7 +53,7 @@ class Window(TypedDict):
     is_history_pad: NDArray[np.bool_]
     """Whether an observation comes before the start and repeats the first one, shape (history,)."""
     instruction: str
-    """What the robot was asked to do."""
+    """The instruction that the robot had."""
     episode: str
     """The id of the episode."""
     step: int

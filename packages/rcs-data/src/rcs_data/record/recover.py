@@ -30,14 +30,14 @@ from rcs_data.index.index import Index
 from rcs_data.record.compact import compact, publish
 
 Leftovers = Literal["recover", "discard"]
-"""What to do with episodes that were open when their writer died."""
+"""Treatment of episodes that were open when their writer died."""
 CUT = ", up to the last row that can be read; its stream is in quarantine"
-"""What is said of an episode whose stream could not be read to its end."""
+"""Words on an episode whose stream could not be read to its end."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecoverReport:
-    """What `recover` did; all empty when there was nothing to do."""
+    """The results of `recover`; all empty when there was nothing to do."""
 
     recovered: tuple[str, ...] = ()
     """Open episodes that are now complete, with success None and `outcome["recovered"]` True."""

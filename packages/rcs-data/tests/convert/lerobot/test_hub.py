@@ -1,4 +1,4 @@
-"""What is pushed can be pulled again, whole or in part, from a server that answers as the Hugging Face Hub does."""
+"""Pushed datasets can be pulled again, whole or in part, from a server that answers as the Hugging Face Hub does."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Hub(ThreadingHTTPServer):
 
 
 class Answers(BaseHTTPRequestHandler):
-    """What the Hub answers to `snapshot_download`, `upload_folder` and tags."""
+    """The answers of the Hub to `snapshot_download`, `upload_folder` and tags."""
 
     protocol_version = "HTTP/1.1"
     server: Hub

@@ -1,4 +1,4 @@
-"""What was exported comes back; what others made comes in; what is damaged is refused."""
+"""Exports come back; datasets that others made come in; damaged ones are refused."""
 
 from __future__ import annotations
 

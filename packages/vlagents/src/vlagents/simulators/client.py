@@ -37,7 +37,7 @@ class SimulatorClient:
             options: As of `RemotePolicy`; `timeout` holds for every call [s].
 
         Raises:
-            InvalidInput: What is at the address is no simulator, or the mapping does not fit it; the message has all
+            InvalidInput: There is no simulator at the address, or the mapping does not fit it; the message has all
                 differences.
             ConnectionLost: No server is there.
             DeadlineExceeded: It does not answer.
@@ -46,7 +46,7 @@ class SimulatorClient:
         self._client = Client(address, **options)
         try:
             self.facts = Facts.from_dict(self._client.call("facts").get("facts"))
-            """What the simulator says about itself."""
+            """The facts that the simulator states about itself."""
             self.mapping = mapping or self.facts.mapping
             """The mapping between the simulator and policies."""
             self._opened = self._client.call("open", mapping=self.mapping.to_dict()).get("opened")
@@ -56,7 +56,7 @@ class SimulatorClient:
 
     @property
     def offer(self) -> Offer:
-        """What a policy is shown and may command."""
+        """The offer to a policy: what it is shown and what it may command."""
         return self.mapping.offer(self.facts)
 
     def begin(self, seed: int) -> Moment:

@@ -46,7 +46,7 @@ class ServedSimulator(Policy):
         self._simulator = self._thread.submit(make).result()
         facts = self._simulator.facts
         self.facts = replace(facts, versions={**facts.versions, "sources": _sources(self._simulator)})
-        """What the simulator says about itself, and the hash of its sources among the versions."""
+        """The facts that the simulator states about itself, and the hash of its sources among the versions."""
         self._mapping = self.facts.mapping
         self._opened = self._steps = 0
         self._is_closed = False
