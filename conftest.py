@@ -103,7 +103,7 @@ class Chromium:
 
         Args:
             profile: An empty folder for what it stores.
-            size: Of the window [px].
+            size: Size of the window [px].
         """
         program = find_chromium()
         if program is None:

@@ -1,4 +1,4 @@
-"""What README and documents show runs as it is written, and pages that are made from the code are current."""
+"""The code in README and documents runs as it is written, and pages that are made from the code are current."""
 
 from __future__ import annotations
 

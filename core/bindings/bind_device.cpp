@@ -45,9 +45,8 @@ void bind_device(nb::module_& m) {
       "is under way. All other calls are for one thread at a time. No call keeps other threads from running. An\nopen "
       "device stays alive until it is closed; `with device:` opens and closes it.\n\nAn error that a function of "
       "a driver raises is the device's fault, in its words, and reaches the caller as DeviceFault.\nErrors of "
-      "`rcs.errors` pass as they are; a DeviceFault that a driver raises says the fault.\n\nWhen the program ends, by SIGTERM, by an exception "
-      "or "
-      "without a `close`, every open device that moves holds.")
+      "`rcs.errors` pass as they are; a DeviceFault that a driver raises says the fault.\n\nWhen the program ends, by "
+      "SIGTERM, by an exception or without a `close`, every open device that moves holds.")
       .def_prop_ro("name", &rcs::Device::name)
       .def_prop_ro("is_open", &rcs::Device::is_open, "Whether the device is connected.")
       .def_prop_ro("fault", &rcs::Device::fault, "The reason of the fault state, empty when there is none.")

@@ -14,7 +14,7 @@ def package_of(extra: str, name: str, purpose: str = "This needs") -> Any:
     Args:
         extra: The extra, such as "rl".
         name: The package or module.
-        purpose: What needs it, as the subject of a sentence with its verb.
+        purpose: The part that needs it, as the subject of a sentence with its verb.
 
     Raises:
         MissingDependency: It is not installed, or does not load; the message names the extra, or what is missing.

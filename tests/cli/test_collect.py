@@ -1,4 +1,4 @@
-"""What `rcs collect` leaves on disk, and what other commands make of it."""
+"""Files that `rcs collect` leaves on disk, and what other commands make of it."""
 
 from __future__ import annotations
 

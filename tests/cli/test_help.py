@@ -1,4 +1,4 @@
-"""What the help of a command says of its options."""
+"""Text of the help of a command about its options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of drawing share."""
+"""Helpers that the tests of drawing share."""
 
 from __future__ import annotations
 

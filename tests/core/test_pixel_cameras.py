@@ -1,4 +1,4 @@
-"""What is drawn without OpenGL looks as OpenGL draws it, for every shape, light and lens."""
+"""Pictures that are drawn without OpenGL look as OpenGL draws them, for every shape, light and lens."""
 
 from __future__ import annotations
 

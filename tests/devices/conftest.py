@@ -104,7 +104,7 @@ def _run(*command: str | Path) -> None:
 
 @pytest.fixture(scope="session")
 def import_device(cpp_devices: Path) -> Callable[[str], ModuleType]:
-    """What imports one of these modules."""
+    """Return a function that imports one of these modules."""
 
     @functools.cache
     def load(name: str) -> ModuleType:

@@ -17,7 +17,7 @@ CALIBRATION = CameraCalibration(np.array([[10.0, 0.0, 7.5], [0.0, 10.0, 3.5], [0
 
 
 class OnAHandClock:
-    """What the contracts of all fakes share."""
+    """The parts that the contracts of all fakes share."""
 
     @pytest.fixture(autouse=True)
     def _on_a_hand_clock(self, clock: Callable[[], float], limits: ArmLimits) -> None:

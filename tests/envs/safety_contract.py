@@ -1,4 +1,4 @@
-"""What holds when something goes wrong in an environment, of any robots and devices."""
+"""Rules that hold when something goes wrong in an environment, of any robots and devices."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Action = dict[str, Any]
 
 
 class Broken(Exception):
-    """What the tests raise."""
+    """The error that the tests raise."""
 
 
 class _BreaksAt(Layer, Observer):
@@ -120,7 +120,7 @@ class SafetyContract:
         return closing(self.make_env())
 
     def test_an_action_refused_again_and_again_changes_nothing(self) -> None:
-        """What is bad about it is the last that is checked: all others have been looked at by then."""
+        """The fault in it is the last that is checked: all others have been looked at by then."""
         with self.env() as env, self.env() as untouched:
             seen: list[Any] = []
             for one in (env, untouched):

@@ -1,4 +1,4 @@
-"""What real arms do when their environment is closed: they hold, or go home slowly where all is in order."""
+"""Real arms hold when their environment is closed, or go home slowly where all is in order."""
 
 from __future__ import annotations
 

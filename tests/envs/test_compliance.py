@@ -31,7 +31,7 @@ def actions(env: Any, count: int, seed: int = 0) -> list[Any]:
 
 
 def bias_of(env: Any) -> float:
-    """What a radian of the first joint changes about the force of its servo."""
+    """Return the change of the force of the first joint's servo per radian."""
     robot = env.simulation.robots[0]
     return robot.world.model.actuator_biasprm[robot.layout.actuator_ids[0], 1]
 

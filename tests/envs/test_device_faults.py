@@ -1,4 +1,4 @@
-"""What goes wrong in a driver ends the episode in its words; leaving the environment raises nothing then."""
+"""A failure in a driver ends the episode in its words; leaving the environment raises nothing then."""
 
 from __future__ import annotations
 

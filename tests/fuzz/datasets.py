@@ -33,7 +33,7 @@ from rich.progress import Progress
 
 MOST_MEMORY_MB = 500
 KEPT_MB = 240
-"""What a child may keep from trial to trial; giving back more often would cost more than the trials."""
+"""Memory that a child may keep from trial to trial; giving back more often would cost more than the trials."""
 TIMEOUT_S = 30.0
 # Beyond this a child gets no memory, so that a bomb ends a trial and not the machine.
 _ADDRESS_SPACE = 6 << 30

@@ -1,4 +1,4 @@
-"""What people do with a dataset: each may refuse with an error of this library, and may do nothing else."""
+"""Exercises that people do with a dataset: each may refuse with an error of this library, and may do nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the fuzzer calls: all of the core, worlds and environments, with objects to call them on."""
+"""Targets that the fuzzer calls: all of the core, worlds and environments, with objects to call them on."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Kept(_core.StepCallback):
 
 
 class Shared:
-    """What is too slow to be made for each round: environments and what draws."""
+    """Objects that are too slow to be made for each round: environments and what draws."""
 
     def __init__(self) -> None:
         self.envs: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""What the fuzzer calls: everything in the extension, and the calls of worlds."""
+"""Targets that the fuzzer calls: everything in the extension, and the calls of worlds."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from tests.fuzz.fuzz_core import CALLS_PER_ROUND, PLANTED, fuzz
 from tests.fuzz.targets import targets_of_core
 
 RARE = ("Render", "probe_gl")
-"""What takes milliseconds, and is called only in long runs."""
+"""Targets that take milliseconds, and are called only in long runs."""
 
 
 def test_no_call_ends_the_process_or_hangs_or_raises_what_nobody_named() -> None:

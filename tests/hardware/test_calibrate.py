@@ -20,7 +20,7 @@ pytest.importorskip("franky", reason="needs franky-control, the extra 'franka'")
 pytest.importorskip("pupil_apriltags", reason="needs pupil-apriltags, the extra 'calibration'")
 pytestmark = [pytest.mark.gl, pytest.mark.hardware, pytest.mark.slow]
 PATIENT = {"stale_after": 5.0, "arm_stale_after": 5.0}
-"""Of a busy machine."""
+"""Times for a busy machine."""
 ADDRESS = f"127.{64 + (os.getpid() >> 8) % 64}.{os.getpid() % 250 + 1}.7"
 
 

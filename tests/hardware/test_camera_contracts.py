@@ -21,7 +21,7 @@ GONE = 600
 
 
 class Served:
-    """What the contracts of virtual sensors share."""
+    """The parts that the contracts of virtual sensors share."""
 
     virtual: ClassVar[VirtualProcess]
     name: ClassVar[str]

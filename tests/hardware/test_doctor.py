@@ -41,7 +41,7 @@ WIRES: tuple[tuple[tuple[object, ...], str, str, str], ...] = (
     (("wrist/drop", 0.6), "wrist", "of 15 frames/s|nothing new", "light|cable"),
     (("left/swap", "right"), "so101_left", "another camera answers", "exchange the cables"),
 )
-"""What goes wrong, with the part, the words of the fault, and those of the remedy."""
+"""Faults, each with the part, the words of the fault, and those of the remedy."""
 NOWHERE = "http://127.0.0.1:9/x"
 SITES: tuple[tuple[str, str, dict[str, Any], str, str], ...] = (
     ("cameras", "wrist", {"options": {"serial": "another"}}, "not 'another'", "exchange the cables"),

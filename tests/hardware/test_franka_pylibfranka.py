@@ -35,7 +35,7 @@ pytestmark = [
 
 ADDRESS = "127.0.52.31"
 OPTIONS = {"backend": "pylibfranka", "collision_force": 400.0, "collision_torque": [80.0] * 7}
-"""What the virtual robot touches does not matter."""
+"""Options with which it does not matter what the virtual robot touches."""
 
 
 @pytest.fixture(scope="module")

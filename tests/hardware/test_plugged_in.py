@@ -1,4 +1,4 @@
-"""What is plugged in is shown as lines for a site file."""
+"""Devices that are plugged in are shown as lines for a site file."""
 
 from __future__ import annotations
 

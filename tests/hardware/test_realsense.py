@@ -22,7 +22,7 @@ MODE = CameraMode(*SIZE, FPS, True)
 
 
 class Drawn:
-    """What a world drew: a picture per step, of an arm that moves."""
+    """Pictures that a world drew: a picture per step, of an arm that moves."""
 
     def __init__(self, path: Path) -> None:
         cameras = rcs.Cameras(names=("side",), image_size=SIZE, depth=True, fps=FPS)

@@ -1,4 +1,4 @@
-"""What every arm and gripper must do, of an SO101 over the vendor's library against the virtual one."""
+"""The contract of every arm and gripper, of an SO101 over the vendor's library against the virtual one."""
 
 from __future__ import annotations
 

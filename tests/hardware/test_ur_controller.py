@@ -1,4 +1,4 @@
-"""What is found out about a UR controller before the vendor's library is given its address."""
+"""Checks of a UR controller before the vendor's library is given its address."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the driver of the xArm7 refuses before anything moves: options, addresses, and peers that are no xArm."""
+"""Refusals of the driver of the xArm7 before anything moves: options, addresses, and peers that are no xArm."""
 
 from __future__ import annotations
 

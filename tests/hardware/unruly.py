@@ -75,7 +75,7 @@ def holds(box: Path) -> list[float]:
 
 
 class Unruly:
-    """What both kinds share; before the class of the fake."""
+    """The parts that both kinds share; before the class of the fake."""
 
     box: Path | None = None
 

@@ -14,7 +14,7 @@ from rcs.virtual import VirtualProcess
 ADDRESS = "127.0.52.1"
 """Where the tests with `franky-control` start it."""
 STIFF = FrankaOptions(collision_force=400.0, collision_torque=(80.0,) * 7)
-"""What the virtual robot touches does not matter."""
+"""Limits with which it does not matter what the virtual robot touches."""
 TROUBLES = [
     (("reflex",), r"Reflex.*joint_reflex.*joint4.*something pushed"),
     (("user_stop",), r"user stop.*release"),
@@ -24,7 +24,7 @@ TROUBLES = [
     (("freeze", 1.5), r"not answered|no state"),
     (("cut",), r"not answered|no state|link"),
 ]
-"""What is told to it, and what its drivers say of it."""
+"""Faults that it is told, and what its drivers say of them."""
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""What the scripted experts collect with every robot has no finding: no damage, and no false alarm."""
+"""Episodes that the scripted experts collect with every robot have no finding: no damage, and no false alarm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the runners for LeRobot share: an importable torchvision, a video decoder, and the comparison itself.
+"""Helpers that the runners for LeRobot share: an importable torchvision, a video decoder, and the comparison itself.
 
 torchvision's wheels are linked against CUDA: beside a torch for the CPU alone its extension does not load, and
 importing it fails where it registers two operators of that extension. They are declared here first; nothing calls them.

@@ -1,4 +1,4 @@
-"""What chunks command at any time: functions of time, shares of motions, blends and means."""
+"""Commands of chunks at any time: functions of time, shares of motions, blends and means."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from rcs.rl import Flat, Sb3VecEnv, sb3
 
 COPIES = 3
 STEPS = 5
-"""Of an episode."""
+"""Steps of an episode."""
 
 
 def copies(**options: Any) -> VecEnv:

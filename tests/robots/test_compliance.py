@@ -1,4 +1,4 @@
-"""What a compliance may say, and what it comes to for an arm."""
+"""Valid options of a compliance, and what they come to for an arm."""
 
 from __future__ import annotations
 

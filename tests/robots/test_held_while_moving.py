@@ -1,4 +1,4 @@
-"""What a gripper holds stays where it is held, and what falls on the table does not sink into it."""
+"""An object in a gripper stays where it is held, and one that falls on the table does not sink into it."""
 
 from __future__ import annotations
 

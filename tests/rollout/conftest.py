@@ -1,4 +1,4 @@
-"""What tests of clusters share: waiting for something, and looking at the processes that are left."""
+"""Helpers that tests of clusters share: waiting for something, and looking at the processes that are left."""
 
 from __future__ import annotations
 

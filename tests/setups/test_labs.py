@@ -1,4 +1,4 @@
-"""What a fixed camera of a lab sees in a square picture: where tasks take place, and what lifts there."""
+"""The view of a fixed camera of a lab in a square picture: where tasks take place, and what lifts there."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def server() -> Iterator[viser.ViserServer]:
 
 
 def positions(server: viser.ViserServer) -> dict[str, np.ndarray]:
-    """Of every body on the page, by its name."""
+    """Return the position of every body on the page, by its name."""
     nodes = server.scene._handle_from_node_name
     return {
         name.rpartition("/")[2].replace(" · ", "/"): np.concatenate([node.position, node.wxyz])

@@ -1,4 +1,4 @@
-"""What a model looks like for other viewers: what MuJoCo shows, each once, where the state has it."""
+"""The look of a model for other viewers: what MuJoCo shows, each once, where the state has it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PRIMITIVES = """
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Of what triangles enclose, if their normals point out of it."""
+    """Return the volume that triangles enclose, if their normals point out of it."""
     a, b, c = (vertices[faces[:, i]].astype(float) for i in range(3))
     return float((np.cross(a, b) * c).sum() / 6)
 

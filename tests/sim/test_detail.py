@@ -42,7 +42,7 @@ TETRAHEDRON = "v 0 0 0\nv .05 0 0\nv 0 .05 0\nv 0 0 .05\nf 1 3 2\nf 1 2 4\nf 1 4
 
 
 class DownloadError(Exception):
-    """What the package raises without a network."""
+    """The error that the package raises without a network."""
 
 
 def stand_in(root: Path) -> types.ModuleType:

@@ -1,4 +1,4 @@
-"""What is called between physics steps, in C++ and in Python."""
+"""Callbacks that are called between physics steps, in C++ and in Python."""
 
 from __future__ import annotations
 

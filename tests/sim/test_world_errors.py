@@ -1,4 +1,4 @@
-"""What MuJoCo reports reaches the caller, in one copy as in many, and never ends the process."""
+"""Errors and warnings that MuJoCo reports reach the caller, in one copy as in many, and never end the process."""
 
 from __future__ import annotations
 

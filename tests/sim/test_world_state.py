@@ -1,4 +1,4 @@
-"""What a world holds, and what is read out of it."""
+"""The state that a world holds, and that is read out of it."""
 
 from __future__ import annotations
 

@@ -64,4 +64,4 @@ CONCERNED = (
     "dof_invweight0",
     "dof_M0",
 )
-"""What MuJoCo derives from sizes."""
+"""Fields that MuJoCo derives from sizes."""

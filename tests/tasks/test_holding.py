@@ -1,4 +1,4 @@
-"""What does not count as holding: thrown, balanced, standing on something, lifted at one end, and never touched."""
+"""Objects that do not count as held: thrown, balanced, standing on something, lifted at one end, and never touched."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What tasks of lifting share, the same for one copy and for many."""
+"""The parts that tasks of lifting share are the same for one copy and for many."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ Policy = Callable[[int, Any, Any], Any]
 
 @dataclass
 class Episode:
-    """What an episode is worth by every rule."""
+    """The worth of an episode by every rule."""
 
     returns: dict[tuple[str, float], float]
     start: float

@@ -1,4 +1,4 @@
-"""What tests of input devices share: devices of the kernel that are not there, and a person at a scripted device."""
+"""Fakes that tests of input devices share: absent devices of the kernel, and a person at a scripted device."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ PACE = 20
 
 
 class Servos:
-    """What both kinds share: positions, faults, and the torque that is on until a program switches it off."""
+    """The parts that both kinds share: positions, faults, and the torque that is on until a program switches it off."""
 
     def __init__(self, count: int) -> None:
         self.positions = dict.fromkeys(range(1, count + 1), 2048)

@@ -1,4 +1,4 @@
-"""What a page in a headset sends, and the axes that it is in."""
+"""Messages that a page in a headset sends, and the axes that it is in."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def test_a_single_tracker_without_wands_is_the_right_hand() -> None:
 
 
 class System:
-    """What OpenVR's system answers, in its own structures."""
+    """The answers of OpenVR's system, in its own structures."""
 
     def __init__(self, openvr: Any) -> None:
         self.openvr = openvr

@@ -276,7 +276,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         """Return everything that decides what follows, to go back to it with `set_state`; it survives pickling.
 
         Only in simulation. That is the state of the simulation, of layers and task, of cameras, counters and random
-        numbers. What observers, agents and callbacks in Python remember is theirs.
+        numbers. Observers, agents and callbacks in Python keep what they remember.
 
         Raises:
             WrongOrder: The environment drives real devices, was not reset, is closed, or another thread uses it.

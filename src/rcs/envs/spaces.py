@@ -179,7 +179,7 @@ def flags_space(size: int) -> spaces.Box:
 def object_space() -> spaces.Dict:
     """Return the space of an object: its pose as translation [m] and quaternion xyzw, and its velocity [m/s, rad/s].
 
-    What slips out of a gripper may spin fast.
+    An object that slips out of a gripper may spin fast.
     """
     bound = np.array([FARTHEST] * 3 + [1.0] * 4)
     velocity = spaces.Box(-10.0 * FASTEST, 10.0 * FASTEST, (6,), np.float64)

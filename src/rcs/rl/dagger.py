@@ -55,7 +55,7 @@ class DaggerLearner(Learner):
         """Make the student and start an episode in every copy.
 
         Args:
-            training: What is learned, by `Dagger`.
+            training: The training, by `Dagger`.
             envs: Copies of its `teaching_setup`, made with `autoreset="SameStep"`.
 
         Raises:

@@ -124,7 +124,7 @@ class Sb3Learner(Learner):
         """Make the learner and start an episode in every copy.
 
         Args:
-            training: What is learned, from the first step on.
+            training: The training, from the first step on.
             envs: Copies of its environment, made with `autoreset="SameStep"`.
 
         Raises:

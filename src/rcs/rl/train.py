@@ -88,7 +88,7 @@ def train(
     Closing the iterator ends the training as a kill does; `progress.is_interrupted` ends it with a checkpoint.
 
     Args:
-        training: What to train.
+        training: The training to do.
         out: The run's folder; `checkpoint.py` says what is in it.
         progress: Updated while it runs.
         threads: Threads for physics and drawing; 0 for one per CPU. They change no result.
@@ -195,7 +195,7 @@ def learner_for(training: Training, *, threads: int = 0) -> Learner:
     """Return the learner of a training, in copies of its environment that have begun an episode.
 
     Args:
-        training: What is learned; where there is a teacher, the copies observe more than the policy.
+        training: The training; where there is a teacher, the copies observe more than the policy.
         threads: Threads for physics and drawing, 0 for one per CPU.
 
     Raises:

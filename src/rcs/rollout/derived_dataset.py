@@ -178,7 +178,7 @@ def derive(recipe: Derivation, out: Path, info: DatasetInfo, workers: int) -> It
     """Make a dataset, and yield the result of each episode as it is done.
 
     Args:
-        recipe: What to make.
+        recipe: Recipe of the episodes to make.
         out: Folder of the new dataset; it must not exist.
         info: Info of the new dataset.
         workers: Number of processes; 1 for this one, 0 for one per core.

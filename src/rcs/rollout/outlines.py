@@ -32,8 +32,8 @@ class Outlines(SeededScene):
 
         Args:
             seed: Seed of the episode.
-            frames: Of an observation, by camera, with `intrinsics`, `extrinsics` and `distortion`; a camera without
-                shows nothing.
+            frames: Frames of an observation, by camera, with `intrinsics`, `extrinsics` and `distortion`; a camera
+                without shows nothing.
         """
         poses = self.poses(seed)
         found: dict[str, list[NDArray[np.float64]]] = {}

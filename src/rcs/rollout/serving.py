@@ -121,7 +121,7 @@ def serving(command: str, checkpoint: Path, log: Path, *, patience: float = PATI
     Args:
         command: Words as for a shell, with `{checkpoint}` and `{port}`, such as
             `envs/lerobot/bin/vlagents serve act --checkpoint {checkpoint} --port {port}`.
-        checkpoint: What it serves.
+        checkpoint: The checkpoint that it serves.
         log: File for what it prints.
         patience: How long it may take until it answers [s].
 

@@ -57,7 +57,7 @@ class Video:
 class Film(Observer):
     """Draws every reset and step of a simulated environment, from the overview camera, into video files.
 
-    Of another project's simulator, these are the images of its cameras.
+    For another project's simulator, these are the images of its cameras.
     """
 
     def __init__(self, env: Env, *, size: tuple[int, int] = (640, 480), quality: Quality = "fast") -> None:

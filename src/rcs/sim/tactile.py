@@ -55,7 +55,7 @@ class SimTactile:
         Args:
             world: The world.
             placement: A sensor of its scene.
-            indentation: What determines the indentation.
+            indentation: Source of the indentation.
             look: The renderer of frames.
             background: A frame without contact, (height, width, 3), such as one from a real sensor; None to compute it
                 from the lights. Tacto has its own.

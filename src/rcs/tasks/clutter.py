@@ -327,8 +327,8 @@ class SizedBodies:
         """Write the sizes of some copies.
 
         Args:
-            half: Half the extents of each body along its x, y, z [m], (*leading of these, bodies, 3). Of a cylinder, x
-                and y are its radius.
+            half: Half the extents of each body along its x, y, z [m], (*leading of these, bodies, 3). For a
+                cylinder, x and y are its radius.
             where: The copies; `...` for all, or for the only one.
             density: Density that gives the masses [kg/m³]; None to keep the present masses.
         """

@@ -94,8 +94,8 @@ def progress(
     """Return the mean of reaching, grasping, and lifting while grasping, 0 … 1 each.
 
     These are the terms of ManiSkill 3's PickCube-v1. There, lifting counts as reaching does, by `1 - tanh(5 d)` of the
-    missing height d. Of ten centimetres, the first then earn less than an object that slips away may cost, and
-    learners hardly dared to lift. Here, each earns as much; and reaching tells the last centimetres apart.
+    missing height d. The first of ten centimetres then earn less than an object that slips away may cost, and learners
+    hardly dared to lift. Here, each earns as much; and reaching tells the last centimetres apart.
 
     Args:
         distance: Distance from the TCP to the grasp point [m].

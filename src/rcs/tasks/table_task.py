@@ -46,7 +46,8 @@ class TableTask(Task):
     """A task with rigid objects on a table.
 
     A subclass names its objects and adds them in `furnish`; it puts them somewhere in `reset` by
-    `self.bodies[name].place`, and finds their poses in `poses_of(name)`. What its `info` has besides flags is `seen`.
+    `self.bodies[name].place`, and finds their poses in `poses_of(name)`. Its `info` has the entries of `seen` besides
+    the flags.
     """
 
     names: ClassVar[tuple[str, ...]]

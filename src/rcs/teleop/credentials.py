@@ -1,4 +1,4 @@
-"""Credentials for another machine that leads a robot: a certificate made at first use, and a code known to both sides."""
+"""Credentials for another machine that leads a robot: a certificate made at first use, and a code both sides know."""
 
 from __future__ import annotations
 

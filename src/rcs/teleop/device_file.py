@@ -95,7 +95,7 @@ def one_of(what: str, found: dict[str, str], missing: str) -> str:
     Args:
         what: The device in messages.
         found: Names of the devices by path.
-        missing: What to do if there is none.
+        missing: Words on what to do if there is none.
 
     Raises:
         DeviceFault: There is none, or more than one.

@@ -25,7 +25,7 @@ from rcs.teleop.pose_filter import PoseFilter
 State = Literal["released", "engaged", "held"]
 
 LEAD = 0.1, 0.5
-"""Longest way of the wanted pose before the TCP [m, rad]. What a hand goes beyond is lost, so that the robot does not
+"""Longest way of the wanted pose before the TCP [m, rad]. A hand's way beyond it is lost, so that the robot does not
 go on for seconds after a fast hand has stopped."""
 
 SAME = 1e-3, 1e-2

@@ -171,7 +171,7 @@ class Leader(InputDevice):
         """Remember how to connect.
 
         Args:
-            calibration: Of this leader.
+            calibration: Calibration of this leader.
             connect: Connects and switches the motors off; faults as in `InputDevice.open`.
             torque: Have motors lead the arm gently after the robot while the person does not lead.
         """

@@ -1,4 +1,4 @@
-"""What a guard does about a motion that it does not admit, and the options that decide it."""
+"""Reactions of a guard to a motion that it does not admit, and the options that decide it."""
 
 from __future__ import annotations
 

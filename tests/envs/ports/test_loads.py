@@ -1,4 +1,4 @@
-"""What an environment observes beside positions and frames: torques, wrench, contacts, poses of objects."""
+"""Observations of an environment beside positions and frames: torques, wrench, contacts, poses of objects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an environment asks of devices: commands that end, measurements that are new, reads that nobody waits for."""
+"""Requests of an environment to devices: commands that end, measurements that are new, reads that nobody waits for."""
 
 from __future__ import annotations
 

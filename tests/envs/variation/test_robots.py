@@ -1,4 +1,4 @@
-"""What varies of robots and their timing acts, by as much as is told."""
+"""Variations of robots and of their timing act, by as much as was given."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from hf.processing_prismatic import PrismaticImageProcessor, PrismaticProcessor 
 from tokenizers import Tokenizer, models, pre_tokenizers, processors  # noqa: E402
 
 TOKENS = 32_000
-"""Of Llama 2: the model's code names some of its tokens by number."""
+"""Number of tokens of Llama 2: the model's code names some of its tokens by number."""
 
 
 def tokenizer() -> transformers.PreTrainedTokenizerFast:

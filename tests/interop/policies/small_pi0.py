@@ -20,7 +20,7 @@ torch, factory, types, pi0, tokens = import_stack(
     "lerobot.processor.tokenizer_processor",
 )
 TOKENIZER = "google/paligemma-3b-pt-224"
-"""What LeRobot's processor of π0 asks for; here it is a folder beside the weights."""
+"""The tokenizer that LeRobot's processor of π0 requests; here it is a folder beside the weights."""
 
 
 def shrink() -> None:

@@ -60,7 +60,7 @@ def load_on_use(package: str, **words: str) -> None:
     Args:
         package: Its `__name__`. The file `__init__.pyi` beside has a line `from module import name as name` for every
             public name, which type checkers read too.
-        words: What to use in place of names that other libraries have.
+        words: Hints on what to use in place of names that other libraries have.
     """
     module = sys.modules[package]
     stub = ast.parse(Path(str(module.__file__)).with_suffix(".pyi").read_text("utf-8"))

@@ -1,7 +1,7 @@
 """A program that records, and is killed before every single call that changes the disk, once each.
 
 Run as `kill_every_call.py FOLDER [STRIDE]`. For n = 0, 1, 2 …, or every STRIDE-th of them, a forked child records into
-FOLDER/n and dies without any clean-up just before its n-th call, until one lives to the end. What it had achieved is in
+FOLDER/n and dies without any clean-up just before its n-th call, until one lives to the end. Its progress is in
 FOLDER/n.progress.
 """
 

@@ -70,8 +70,8 @@ def resized(image: NDArray[np.uint8], height: int, width: int) -> NDArray[np.uin
 
     Args:
         image: (height, width, 3).
-        height: Of the result [pixels].
-        width: Of the result [pixels].
+        height: Height of the result [pixels].
+        width: Width of the result [pixels].
     """
     if image.shape[:2] == (height, width):
         return image

@@ -57,7 +57,7 @@ class Observation:
                 raise InvalidInput(f"{name} is {getattr(self, name)!r}; valid is a str.")
 
     def of_session(self, session: str) -> Observation:
-        """Return the same observation as another session's. What was checked once is not checked again."""
+        """Return the same observation as another session's. Nothing that was checked once is checked again."""
         other = copy.copy(self)
         object.__setattr__(other, "session", session)
         return other

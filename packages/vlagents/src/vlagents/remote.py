@@ -76,9 +76,9 @@ class RemotePolicy(Policy):
             address: Where the server is.
             token: The server's secret.
             timeout: How long an answer may take [s].
-            offer: What the robot shows and takes; None to compare nothing.
-            metadata: What the policy needs and gives, where the server does not say: those of other projects do not.
-                Without it, any actions are accepted.
+            offer: Description of what the robot shows and takes; None to compare nothing.
+            metadata: Description of what the policy needs and gives, where the server does not say: those of other
+                projects do not. Without it, any actions are accepted.
             period: Time that each row of a chunk is for [s], where neither server nor metadata say.
             certificate: File with the certificate that the server's must be signed by; None for those of the system.
 

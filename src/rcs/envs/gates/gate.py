@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 class Gate(ABC):
     """Admits, cuts or refuses what all layers of all robots came to.
 
-    What a gate returns is checked: every robot and key, shape, finite numbers, bounds. What is wrong counts as a
-    refusal. When a gate refuses, all devices hold, `info["refused"]` says why, and the episode goes on, unless the
+    The actions that a gate returns are checked: every robot and key, shape, finite numbers, bounds. Wrong ones count as
+    a refusal. When a gate refuses, all devices hold, `info["refused"]` says why, and the episode goes on, unless the
     refusal ends it (`Refused.ends_episode`). A gate that takes longer than its deadline refuses too. One that raises
     anything else breaks the episode off, and all devices hold.
     """

@@ -1,6 +1,6 @@
 """A guard: no target reaches a device whose way there comes too near to anything.
 
-What is checked is what will be executed: where the arms are led in this step, each along its own trajectory, and
+The guard checks what will be executed: where the arms are led in this step, each along its own trajectory, and
 where they then go while they brake to rest, in steps of at most 2 mm and 0.5 degrees (in C++). So there is always a
 way to stop that was found free. Where a robot stands too near already, it may move along and away, but no nearer.
 """

@@ -72,8 +72,9 @@ class LimitStep(Limit):
 
     The first bound is the joint velocity limit times the control period. The second keeps the target from running away
     while the arm is blocked. To a target farther away all joints go the same share of the way, so that the TCP keeps
-    its direction; a joint that is blocked at the end of its lead stops them all. What brings a target back towards the
-    measured joint is not bounded: an arm that is to turn round brakes at once. `info["is_limited"]` reports cuts.
+    its direction; a joint that is blocked at the end of its lead stops them all. A step that brings a target back
+    towards the measured joint is not bounded: an arm that is to turn round brakes at once. `info["is_limited"]` reports
+    cuts.
     """
 
     def __init__(
@@ -168,8 +169,9 @@ class LimitPose(Limit):
 class NativeTwist(Limit):
     """Pass `twist` actions on to the arm's controller, within their bounds.
 
-    What is too fast is slowed down as a whole, so that the TCP keeps its direction; `info["is_limited"]` reports it.
-    The target of an action is where its twist takes the TCP in one control period, from where it was measured.
+    A twist that is too fast is slowed down as a whole, so that the TCP keeps its direction; `info["is_limited"]`
+    reports it. The target of an action is where its twist takes the TCP in one control period, from where it was
+    measured.
     """
 
     key = TQUAT

@@ -51,8 +51,8 @@ def dataset_info(
         instruction: Instruction for the robot; None for the environment's instruction.
         colour: Encoding of colour frames; docs/data.md compares sizes and quality.
         jpeg_quality: JPEG quality of colour frames, 1 to 100.
-        notes: What `env.note` may give beside a step, recorded as `notes/name`: vectors and words as `Note`s, numbers
-            by their names alone. Where it did not, numbers are NaN.
+        notes: Notes that `env.note` may give beside a step, recorded as `notes/name`: vectors and words as `Note`s,
+            numbers by their names alone. Where it did not, numbers are NaN.
 
     Raises:
         InvalidSetup: Steps of the environment have no fixed rate.

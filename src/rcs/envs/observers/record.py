@@ -29,7 +29,7 @@ def record(
         out: The dataset's folder; an existing one is continued.
         colour: Encoding of colour frames.
         jpeg_quality: JPEG quality of colour frames, 1 to 100.
-        notes: What `env.note` gives to record; see `dataset_info`.
+        notes: Notes that `env.note` gives to record; see `dataset_info`.
 
     Yields:
         The recorder. A take that is open at the end is kept without a verdict.

@@ -277,7 +277,7 @@ class Recorder(Observer):
 
         Args:
             success: Whether the task was done; None if that is not known.
-            outcome: What else is to be kept of how it went, as JSON values; where the objects were at the start is
+            outcome: Further facts to keep about how it went, as JSON values; where the objects were at the start is
                 added as `objects`.
             instruction: Instruction for the robot; None for that of the start.
 

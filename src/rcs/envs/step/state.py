@@ -1,7 +1,7 @@
 """The whole state of an environment: everything that decides what follows, to go back to it or to branch off from it.
 
 An environment and every copy of a batch that were made from the same parts can go on from each other's states, with the
-same bits. What layers and tasks remember is what they name in `memory`.
+same bits. Layers and tasks name what they remember in `memory`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """A gateway to a page of this machine; for other machines it is over TLS, and only with the code.
 
 Asynchronous, on a thread of its own. A browser gives the code once, in the address or in a form, and keeps it in a
-cookie that no other site can use. What follows goes to a server behind as it is, one request per connection. Pages of
-other sites, which may ask a browser to connect to any address, get no stream; without a code, also no other name of
-this machine is answered, for another site may have given it.
+cookie that no other site can use. The rest goes to a server behind as it is, one request per connection. Pages of other
+sites, which may ask a browser to connect to any address, get no stream; without a code, also no other name of this
+machine is answered, for another site may have given it.
 """
 
 from __future__ import annotations

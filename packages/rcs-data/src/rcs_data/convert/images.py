@@ -51,7 +51,7 @@ def as_stored(feature: Feature, data: bytes, where: str) -> bytes | NDArray[Any]
     Every file is decoded, so that damage is found by the import and not by a training.
 
     Args:
-        feature: What it becomes.
+        feature: The feature that it becomes.
         data: The bytes of the file; zeros after a JPEG do not count.
         where: Where it is from, for messages.
 

@@ -112,7 +112,7 @@ def refuse_unused(options: ExportOptions, format_: str, used: Collection[str]) -
 
     Args:
         options: The options.
-        format_: What to call the format.
+        format_: Name to call the format by.
         used: Those of the format, besides those that all have.
 
     Raises:

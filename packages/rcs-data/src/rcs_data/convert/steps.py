@@ -75,7 +75,7 @@ def import_episodes(
 
     Args:
         out: The folder of the new dataset.
-        info: What its episodes share.
+        info: The facts that its episodes share.
         episodes: The number of each, for notes, and what records it.
         options: Says whether episodes may be left out.
         steps: How many there are in all, for the progress; 0 if that is not known.
@@ -124,7 +124,7 @@ def record_steps(
         writer: The dataset.
         steps: Number of steps.
         columns: A column for each feature of the dataset.
-        about: What else is known of the episode.
+        about: Further facts that are known of the episode.
 
     Raises:
         CorruptEpisode: A column has fewer values than there are steps.

@@ -85,7 +85,7 @@ def split(
         path: The dataset, which is not changed.
         out: Where the parts go.
         parts: The share of each part, such as {"train": 0.9, "val": 0.1}; episodes are drawn by the seed.
-        seed: Of the draw.
+        seed: Seed of the draw.
         episodes: The ids of each part. With neither shares nor ids, a merged dataset is split into its sources, and
             episodes get their former ids back.
 

@@ -74,7 +74,7 @@ def mix(
     Args:
         parts: The parts to take.
         out: The new dataset.
-        seed: Of the draw of episodes.
+        seed: Seed of the draw of episodes.
         total: Episodes in all, if the parts have shares.
         mapping: How to harmonise features; None if they must be the same.
         on_progress: Called with the number of episodes done and of all.

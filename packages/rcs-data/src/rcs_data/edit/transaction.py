@@ -113,7 +113,7 @@ def making(out: str | Path, info: DatasetInfo) -> Generator[DatasetWriter]:
 
     Args:
         out: Its folder; nothing may be there.
-        info: What its episodes share.
+        info: The facts that its episodes share.
 
     Raises:
         DatasetError: The folder is not empty, or the disk fails; then nothing is left behind.

@@ -2,11 +2,10 @@
 
 Any viewer reads them.
 
-Of 640 x 480 pixels of a simulated lab, with the noise of a real camera and without, on one core: QOI takes 4.6 and 2.3
-ms to encode, 3.2 and 2.3 ms to decode, and 597 and 33 kB; PNG of the same image 11 to 13 and 2.6, 5 and 2.5 ms, and 507
-and 29 kB. Depth as PNG takes 1.7 and 0.6, 2.7 and 1.1 ms, and 259 and 40 kB.
-PyAV takes six times as long to encode it, and Pillow fourteen, in turns (0.44, 3.0 and 6.3 ms with noise, on another
-machine); hence the few lines here.
+Cost of 640 x 480 pixels of a simulated lab, with the noise of a real camera and without, on one core: QOI takes 4.6 and
+2.3 ms to encode, 3.2 and 2.3 ms to decode, and 597 and 33 kB; PNG of the same image 11 to 13 and 2.6, 5 and 2.5 ms, and
+507 and 29 kB. Depth as PNG takes 1.7 and 0.6, 2.7 and 1.1 ms, and 259 and 40 kB. PyAV takes six times as long to encode
+it, and Pillow fourteen, in turns (0.44, 3.0 and 6.3 ms with noise, on another machine); hence the few lines here.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ def encode_frame(feature: Feature, image: NDArray[Any], info: DatasetInfo) -> by
 
     Args:
         feature: An image feature.
-        image: Of the feature's shape and dtype.
+        image: An image of the feature's shape and dtype.
         info: For the quality of a JPEG.
     """
     if feature.encoding in ("depth", "labels"):

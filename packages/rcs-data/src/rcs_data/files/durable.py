@@ -33,7 +33,7 @@ def disk_errors(doing: str, path: Path, *, keeps_rows: bool = False) -> Generato
     """Turn an OSError into one that says what was being done, where, and what to do.
 
     Args:
-        doing: What was being done, such as "write the rows of episode 'a'".
+        doing: The action that was under way, such as "write the rows of episode 'a'".
         path: Where.
         keeps_rows: Whether rows of an episode stay on the disk, of which `recover` makes an episode.
 

@@ -67,7 +67,7 @@ def temporary_folder(target: Path) -> Generator[Path]:
         target: An absolute path, whose folder exists; nothing is done to it.
 
     Raises:
-        OSError: What a killed call left cannot be removed, or the disk fails.
+        OSError: The leftovers of a killed call cannot be removed, or the disk fails.
     """
     remove_leftovers(target)
     partial, lock = _claim(target)

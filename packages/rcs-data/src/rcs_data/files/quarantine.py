@@ -15,7 +15,7 @@ def quarantine(root: Path, path: Path, name: str = "") -> Path:
     Args:
         root: The dataset's folder.
         path: The file or folder.
-        name: What its name there is like; that which it has if this is empty.
+        name: Model for its name there; the name that it has if this is empty.
 
     Raises:
         DatasetError: It cannot be moved.

@@ -42,7 +42,7 @@ class StepsWriter:
 
         Args:
             path: The file.
-            info: What the dataset's episodes share.
+            info: The facts that the dataset's episodes share.
             episode_id: The episode.
         """
         self.name = path.name
@@ -107,7 +107,7 @@ def read_steps(path: Path, info: DatasetInfo, length: int, columns: Sequence[str
 
     Args:
         path: The file.
-        info: What the dataset's episodes share.
+        info: The facts that the dataset's episodes share.
         length: Rows of the episode.
         columns: Names of `info.stream_schema`.
 

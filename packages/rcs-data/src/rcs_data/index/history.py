@@ -1,9 +1,9 @@
 """Edits: each takes effect in one step, is listed in the history, and can be undone.
 
 An edit is prepared in a folder of its own, laid out like the dataset: new folders of episodes, the new index, a new
-`dataset.json`, and `history/N.jsonl`, which has what was done, and the index before. One rename decides it. What
-follows are renames, too, which bring everything into its place; whoever comes after a kill finishes them, and until
-then readers take what is decided from where it is.
+`dataset.json`, and `history/N.jsonl`, which has what was done, and the index before. One rename decides it. More
+renames follow, which bring everything into its place; whoever comes after a kill finishes them, and until then readers
+take what is decided from where it is.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ def write_figures(ledger: Ledger, by: str) -> Path:
 
     Args:
         ledger: The ledger.
-        by: What rates are grouped by; see `groups_of`. Numbers become lines, everything else bars.
+        by: Key that rates are grouped by; see `groups_of`. Numbers become lines, everything else bars.
 
     Raises:
         MissingDependency: Matplotlib is not installed.

@@ -157,7 +157,7 @@ class Ledger(Closing):
         """Describe a condition, and return its hash; one that is described stays as it is.
 
         Args:
-            condition: What its episodes share.
+            condition: The condition that its episodes share.
             place: Where its agent comes from: an address, or the path of a checkpoint.
             hidden: In a blind comparison, the true condition and place, which are there in a form that nobody reads by
                 accident until `unblind`.

@@ -228,8 +228,8 @@ class BackgroundEpisode:
 
         Args:
             success: Whether the task was done; None if that is not known.
-            outcome: What else to keep about how it went.
-            instruction: What the robot was asked to do; None for the instruction given at the start.
+            outcome: Further facts to keep about how it went.
+            instruction: The instruction that the robot had; None for the instruction given at the start.
 
         Raises:
             InvalidSetup: There are no rows, or the outcome is not JSON; the episode stays open.

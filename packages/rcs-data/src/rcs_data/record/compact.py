@@ -63,11 +63,11 @@ def compact(
     Args:
         index: The dataset's index.
         episode_id: The episode.
-        info: What the dataset's episodes share.
+        info: The facts that the dataset's episodes share.
         success: Whether the task was done; None if that is not known.
-        outcome: What else to keep about how it went, as JSON values.
+        outcome: Further facts to keep about how it went, as JSON values.
         ended: Wall clock at the end, ISO 8601 in UTC; None if it was not measured.
-        instruction: What the robot was asked to do; None for the instruction given at the start.
+        instruction: The instruction that the robot had; None for the instruction given at the start.
         timing: Additions to the timing report that the rows do not show.
         rows: How many rows were recorded; None if that is not known.
 
@@ -125,7 +125,7 @@ def seal(
 
     Args:
         folder: Its folder, which is ignored until it has an `episode.json`.
-        info: What the dataset's episodes share.
+        info: The facts that the dataset's episodes share.
         pieces: The rows, with the columns of `stream_schema`, in pieces of any size; how they are cut changes no byte.
         about: Fields of `episode.json` other than those found here: length, hashes, timing, schema version.
         timing: Returns additions to the timing report; called after the last piece.

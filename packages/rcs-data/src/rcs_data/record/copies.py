@@ -39,7 +39,8 @@ def adopt(index: Index, info: DatasetInfo, episode_id: str, files: Files) -> Pat
 
     Args:
         index: The dataset's index.
-        info: What the dataset's episodes share; that of the dataset that the episode was recorded into is equal.
+        info: The facts that the dataset's episodes share; those of the dataset that the episode was recorded into are
+            equal.
         episode_id: The episode. No writer may be recording it; what a dead one left of it is removed.
         files: All files of its folder.
 
@@ -85,9 +86,9 @@ def link(folder: Path, info: DatasetInfo, episode: EpisodeRecord, changes: Mappi
 
     Args:
         folder: The folder, which is there and empty.
-        info: What the dataset's episodes share, with the same features.
+        info: The facts that the dataset's episodes share, with the same features.
         episode: The episode.
-        changes: Fields of `episode.json` that differ. Of another id, `steps.parquet`, which has it, is written anew.
+        changes: Fields of `episode.json` that differ. With another id, `steps.parquet`, which has it, is written anew.
 
     Raises:
         CorruptEpisode: The episode is damaged.
@@ -116,7 +117,7 @@ def rewrite(
 
     Args:
         folder: The folder, which is there and empty.
-        info: What the dataset's episodes share.
+        info: The facts that the dataset's episodes share.
         episode: Source of the other fields of `episode.json`.
         rows: The rows with the columns of `stream_schema`, in pieces.
         changes: Fields of `episode.json` that differ.

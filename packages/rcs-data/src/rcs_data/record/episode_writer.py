@@ -46,10 +46,10 @@ class EpisodeWriter:
 
         Args:
             index: The dataset's index.
-            info: What the dataset's episodes share.
+            info: The facts that the dataset's episodes share.
             episode_id: The name of the episode.
             seed: The seed of the reset.
-            instruction: What the robot is asked to do.
+            instruction: The instruction to the robot.
 
         Raises:
             InvalidSetup: The id cannot be the name of a folder, or the instruction cannot be stored.
@@ -144,8 +144,8 @@ class EpisodeWriter:
 
         Args:
             success: Whether the task was done; None if that is not known.
-            outcome: What else to keep about how it went: JSON values, numpy numbers and arrays.
-            instruction: What the robot was asked to do; None for the instruction given at the start.
+            outcome: Further facts to keep about how it went: JSON values, numpy numbers and arrays.
+            instruction: The instruction that the robot had; None for the instruction given at the start.
             timing: Additions to the timing report that the rows do not show.
 
         Raises:
@@ -261,7 +261,7 @@ def refuse_fork(process: int, doing: str) -> None:
 
     Args:
         process: Whose the writer is.
-        doing: What is refused, in words.
+        doing: The refused action, in words.
 
     Raises:
         DatasetError: This is another process.

@@ -58,7 +58,7 @@ class DatasetWriter(Closing):
         Args:
             index: The dataset's index.
             lock: The lock that keeps other writers out.
-            recovered: What was done with the leftovers of an earlier writer.
+            recovered: Report on the leftovers of an earlier writer.
         """
         self.path = index.root
         self.info = index.info
@@ -78,9 +78,9 @@ class DatasetWriter(Closing):
 
         Args:
             path: The folder; created if missing.
-            info: What the episodes share.
+            info: The facts that the episodes share.
             resume: Whether to add to an existing dataset instead of refusing it.
-            leftovers: What to do with episodes that were open when an earlier writer died.
+            leftovers: Treatment of episodes that were open when an earlier writer died.
 
         Raises:
             DatasetError: Another process writes to it; it exists and `resume` is not set; its info differs (the message
@@ -130,7 +130,7 @@ class DatasetWriter(Closing):
         Args:
             episode_id: Its name; the reader sorts by it.
             seed: The seed that the environment was reset with; None if it was not seeded.
-            instruction: What the robot is asked to do; None for the dataset's instruction.
+            instruction: The instruction to the robot; None for the dataset's instruction.
 
         Raises:
             InvalidSetup: The id cannot be the name of a folder.

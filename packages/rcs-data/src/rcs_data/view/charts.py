@@ -48,12 +48,12 @@ def chart(
     """Return a chart as a `figure`.
 
     Args:
-        title: What is shown, with its unit.
+        title: Name of the quantity that is shown, with its unit.
         series: Lines, at least one, none without points.
         most: Steps at the right end, at least 1.
         span: Lower and upper end of the vertical axis; None for those of the figures.
-        width: Of the drawing, in its own units; its height is 190.
-        word: What is counted from left to right.
+        width: Width of the drawing, in its own units; its height is 190.
+        word: Word for what is counted from left to right.
     """
     low, high = span if span is not None else _span(series)
     inner, tall = width - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM

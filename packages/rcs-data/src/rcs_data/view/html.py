@@ -36,7 +36,7 @@ def element(tag: str, /, *content: object, **attributes: object) -> Html:
 
     Args:
         tag: Its name.
-        content: What is in it; text that is not `Html` is escaped.
+        content: Content of the element; text that is not `Html` is escaped.
         attributes: By name, with "_" for "-", and one at the end left away, as in `class_`. True is an attribute
             without a value; None and False are none.
     """
@@ -84,8 +84,8 @@ def page(title: str, *body: object, assets: Html | None = None) -> Html:
     """Return a whole page.
 
     Args:
-        title: Of the window.
-        body: What is on it; text that is not `Html` is escaped.
+        title: Title of the window.
+        body: Content of the page; text that is not `Html` is escaped.
         assets: Its style; None for the one that all pages share.
     """
     about = Html(

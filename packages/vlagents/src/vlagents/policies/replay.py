@@ -24,7 +24,7 @@ LENGTHS = struct.Struct("<IQ")
 
 
 class Recorded(Around):
-    """Keeps every call of the policy inside. What is in the file when the process is killed can be read."""
+    """Keeps every call of the policy inside. The calls that are in the file when the process is killed can be read."""
 
     def __init__(self, inside: Policy, path: str | Path, *, with_images: bool = False) -> None:
         """Begin a file.

@@ -22,7 +22,7 @@ class ScriptedPolicy(SessionPolicy[None]):
 
         Args:
             act: A function of an observation and the instruction that returns actions, (horizon, size) or (size,).
-            metadata: What the function needs and gives, with the rate of its rows.
+            metadata: Description of what the function needs and gives, with the rate of its rows.
 
         Raises:
             InvalidInput: The metadata have no rate.

@@ -34,7 +34,7 @@ Part = bytes | memoryview
 
 
 class FrameChannel(Channel):
-    """Sends and receives messages. Of several threads, one may receive, and any may send."""
+    """Sends and receives messages. One thread at a time may receive, and any may send."""
 
     def __init__(self, link: Link, *, is_client: bool, largest: int = LARGEST_BODY) -> None:
         """Take over a link whose handshake is done.

@@ -88,7 +88,7 @@ def unpack(header: bytes | bytearray | memoryview, body: Any) -> dict[str, Any]:
     """Put a message together again; its large arrays are views of the body, small ones are copies.
 
     Args:
-        header: What `pack` made of the values.
+        header: The header that `pack` made of the values.
         body: A buffer with the bytes of the arrays.
 
     Raises:

@@ -58,7 +58,7 @@ def import_aloha(source: str | Path, out: str | Path, options: ImportOptions | N
     Args:
         source: A file, or the folder with them.
         out: The folder of the new dataset.
-        options: What to import, how to store images, and what the files do not say; the rate is 50 Hz unless
+        options: Says what to import, how to store images, and what the files do not say; the rate is 50 Hz unless
             `frequency` is given.
 
     Raises:

@@ -54,7 +54,7 @@ def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions
     Args:
         source: The file.
         out: The folder of the new dataset.
-        options: What to import, how to store images, and what the file does not say.
+        options: Says what to import, how to store images, and what the file does not say.
 
     Raises:
         MissingDependency: h5py is not installed.

@@ -47,7 +47,7 @@ def import_lerobot(source: str | Path, out: str | Path, options: ImportOptions |
     Args:
         source: The folder of the LeRobotDataset.
         out: The folder to make.
-        options: What to import, and how images are stored.
+        options: Says what to import, and how images are stored.
 
     Raises:
         DatasetError: There is no such dataset, `out` exists, or the disk fails.

@@ -105,7 +105,7 @@ class SourceEpisode:
 
         Args:
             name: The column.
-            feature: What they become.
+            feature: The feature that they become.
             readers: Open videos by column, kept between calls, since the next episode may continue in the same one.
             fps: Frames per second.
 

@@ -130,7 +130,7 @@ def row_times(episode: EpisodeRecord, info: DatasetInfo) -> NDArray[np.int64]:
 
     Args:
         episode: The episode.
-        info: What is exported of it.
+        info: The features that are exported of it, as an info.
 
     Raises:
         CorruptEpisode: The episode is damaged.

@@ -89,7 +89,7 @@ class Contents:
         Args:
             images: Camera by the model's name of a picture.
             has_state: Whether the model observes the state.
-            options: What the family asks for besides.
+            options: Options of the family besides.
         """
         values: dict[str, Any] = {"dataset": self.name, "data_hash": self.digest, "images": images}
         if has_state:

@@ -54,8 +54,8 @@ def recipe(family: Family, contents: Contents, base: Base = "pi05") -> Recipe:
     """Return what a family's trainer needs, and `vlagents.json` to serve the result with.
 
     Args:
-        family: What learns.
-        contents: What it learns from.
+        family: Family of the policy that learns.
+        contents: The data that it learns from.
         base: The published model that openpi begins with.
 
     Raises:

@@ -81,7 +81,8 @@ def import_rlds(source: str | Path, out: str | Path, options: ImportOptions | No
     Args:
         source: The folder with `dataset_info.json`, or one above it that has no other.
         out: The folder of the new dataset.
-        options: What to import, how to store images, and what the format does not say: `frequency`, which it needs.
+        options: Says what to import, how to store images, and what the format does not say: `frequency`, which it
+            needs.
 
     Raises:
         InvalidSetup: There is no such dataset, it is stored in another file format or has no steps, or the rate is not
