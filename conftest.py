@@ -1,4 +1,4 @@
-"""What all tests share: programs in a process of their own, a browser, `gl` tests skipped where nothing can draw."""
+"""Fixtures of all tests: programs in a process of their own, a browser, `gl` tests skipped where nothing can draw."""
 
 from __future__ import annotations
 

@@ -47,13 +47,13 @@ def see(
     """Return views with the board turned at random about its axes.
 
     Args:
-        arrangement: What carries the camera.
+        arrangement: Whether the camera is on the gripper or beside the robot.
         views: How many.
         noise: Standard deviation of corners [px].
         robot: Standard deviations of the flange's pose [m, rad].
         turns: Standard deviations of the board's rotation about x, y and z [rad].
         lens: How the camera sees.
-        seed: Of the poses.
+        seed: Seed of the poses.
     """
     rng = np.random.default_rng(seed)
     board, camera, place = Board(), CAMERAS[arrangement], BOARDS[arrangement]

@@ -137,7 +137,7 @@ def fuzz(
 
     Args:
         calls: How many, rounded up to whole rounds.
-        seed: What is called with what follows from it.
+        seed: Seed from which calls and their arguments follow.
         timeout: How long one call may take [s].
         planted: A finding to make, of `PLANTED`.
         show: Called with the number of calls and findings so far.

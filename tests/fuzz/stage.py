@@ -84,7 +84,7 @@ class Shared:
 
 
 class Stage:
-    """The objects of one round. What is called, on what and with what follows from the seed alone."""
+    """The objects of one round. The calls, their objects and their arguments follow from the seed alone."""
 
     model = mujoco.MjModel.from_xml_string(MODEL)
     other_model = mujoco.MjModel.from_xml_string(

@@ -55,7 +55,7 @@ def arguments() -> tuple[Path, Path]:
 def compare(dataset, expected: Path) -> dict[str, float]:
     """Go through all frames of a LeRobotDataset, and fail where one is not what was exported.
 
-    Vectors must be equal as float32. Of an image, the mean error of a pixel may be 4 and that of the whole 2.5 of 255:
+    Vectors must be equal as float32. In an image, the mean error of a pixel may be 4 and that of the whole 2.5 of 255:
     half of the resolution of colour is lost, and the decoder rounds down.
     """
     about = json.loads((expected / "about.json").read_text())

@@ -1,6 +1,6 @@
 """Real-to-sim replay: a simulated robot follows a real one, and the task judges.
 
-There are no real episodes here. What stands for them are simulated ones whose world was another (weaker servos, more
+There are no real episodes here. Simulated ones stand for them, whose world was another (weaker servos, more
 damping, other friction and mass), whose states were taken away, and whose measurements have noise and come late.
 """
 

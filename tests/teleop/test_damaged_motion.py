@@ -57,7 +57,7 @@ def lead(device: InputDevice, send: Callable[[bool], bool], counted: Callable[[]
     """Have a robot follow a hand that is still, then moves.
 
     Args:
-        device: What the hand holds.
+        device: The device that the hand holds.
         send: Sends a good message, and `TOGETHER` damaged ones after it, or, given True, good ones of a hand that
             moves; returns False when `COUNT` damaged ones were sent.
         counted: Returns how many damaged messages the device has counted.
@@ -110,7 +110,7 @@ def flood(device: Any, spoil: Callable[[], object], tell: Callable[[bool], objec
     """Have a robot follow a device at rest, then one that is deflected.
 
     Args:
-        device: What the hand holds.
+        device: The device that the hand holds.
         spoil: Has the device take a damaged message.
         tell: Sends a good message, of a device at rest, or deflected.
         together: Damaged messages between two good ones.

@@ -95,7 +95,7 @@ def progress(
 
     These are the terms of ManiSkill 3's PickCube-v1. There, lifting counts as reaching does, by `1 - tanh(5 d)` of the
     missing height d. The first of ten centimetres then earn less than an object that slips away may cost, and learners
-    hardly dared to lift. Here, each earns as much; and reaching tells the last centimetres apart.
+    hardly dared to lift. Here, each earns as much; and reaching distinguishes the last centimetres.
 
     Args:
         distance: Distance from the TCP to the grasp point [m].
@@ -109,7 +109,7 @@ def nearness(distance: NDArray[np.float64], steepness: float = 5.0) -> NDArray[n
     """Return how near an object is to its goal, 0 … 1: half coarsely and half finely.
 
     The fine half is our addition to ManiSkill 3's `1 - tanh(5 d)`: where an object must lie within 2 or 3 cm of its
-    goal, it tells the last centimetres apart.
+    goal, it distinguishes the last centimetres.
 
     Args:
         distance: Distance from the goal [m].

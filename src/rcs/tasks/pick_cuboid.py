@@ -83,7 +83,7 @@ class PickCuboid(TableTask):
     This is judged at the end of each step.
 
     Progress, of which the reward is made, is the mean of three parts in [0, 1]: reaching, grasping, and lifting while
-    grasping, which are those of ManiSkill 3's PickCube-v1. Reaching tells the last centimetres apart, and each
+    grasping, which are those of ManiSkill 3's PickCube-v1. Reaching distinguishes the last centimetres, and each
     centimetre of lifting counts alike.
     """
 

@@ -32,7 +32,7 @@ SPECIAL = {
     "end_of_utterance_token": "<end_of_utterance>",
 }  # fmt: skip
 MEAN, STD = 0.5, 0.01
-"""Mean and standard deviation of the actions: an output is near the mean only if it is brought back to physical units."""
+"""Mean and standard deviation of actions: an output is near the mean only if it is brought back to physical units."""
 
 
 def save_language_model(folder: Path) -> None:
