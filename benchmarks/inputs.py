@@ -179,7 +179,7 @@ def main(options: Options) -> None:
             end.start()
             with rcs.record(env, Path(folder) / "takes", notes=person.note_fields) as recorder:
                 takes = Takes(recorder, env.frequency)
-                loop = Teleoperation(env, person, takes=takes, seed=options.seed, tell=_tell)
+                loop = Teleoperation(env, person, takes=takes, seed=options.seed, report=_report)
                 loop.run(lambda: len(takes.ended) >= options.takes)
             feed = person.operator.feed
             person.close()
@@ -199,7 +199,7 @@ def main(options: Options) -> None:
     print(json.dumps(result))
 
 
-def _tell(words: str) -> None:
+def _report(words: str) -> None:
     print(words, file=sys.stderr)
 
 

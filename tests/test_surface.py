@@ -110,6 +110,31 @@ def test_examples_reach_below_no_public_name() -> None:
         assert not re.search(r"\b(?:rcs|env|world)\.(?:_\w|core\b)", path.read_text()), path
 
 
+DOCUMENTED = [
+    path
+    for folder in ("src", "packages", "tools", "benchmarks", "examples", "tests")
+    for pattern in ("*.py", "*.pyi")
+    for path in sorted((ROOT / folder).rglob(pattern))
+]
+
+
+def documentation(program: str) -> Iterator[tuple[int, str]]:
+    """Give every docstring of a program, also of attributes, with the number of its line."""
+    for node in ast.walk(ast.parse(program)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.lineno, node.value.value
+
+
+def test_every_docstring_begins_with_a_noun_or_an_imperative() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {text.split(maxsplit=3)[:3]}"
+        for path in DOCUMENTED
+        for line, text in documentation(path.read_text("utf-8"))
+        if text.split(maxsplit=1)[:1] in (["What"], ["Of"])
+    ]
+    assert not found, "\n".join(found)
+
+
 def test_no_program_beside_the_packages_hides_a_module_of_python() -> None:
     found = [path for folder in ("benchmarks", "examples", "tools") for path in (ROOT / folder).rglob("*.py")]
     assert found

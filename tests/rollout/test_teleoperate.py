@@ -64,7 +64,7 @@ def make(tmp_path: Path) -> Iterator[Make]:
             agent, told = Asking(env, requests), list[str]()
             recorder = stack.enter_context(rcs.record(env, tmp_path / "set", notes=agent.note_fields))
             takes = Takes(recorder, env.frequency, instructions=options.pop("instructions", ()))
-            return Teleoperation(env, agent, takes=takes, tell=told.append, **options), told
+            return Teleoperation(env, agent, takes=takes, report=told.append, **options), told
 
         yield made
 

@@ -18,7 +18,7 @@ _TRAINED, _SERVED = "rcs.rl.policy:TrainedPolicy", "rcs.policy.agent:ServedPolic
 """Classes that a path and an address stand for; by name, for their modules need packages that are not always there."""
 
 Event = Literal["engage", "release", "start", "success", "failure", "discard", "reset", "takeover", "stop"]
-"""Wishes of a person besides motion: the clutch; a take that begins, or ends with a verdict or without a trace; the
+"""Requests of a person besides motion: the clutch; a take that begins, or ends with a verdict or without a trace; the
 next episode; a policy's robot, or to give it back; the end."""
 
 

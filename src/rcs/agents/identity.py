@@ -38,7 +38,7 @@ class Identity:
     policy: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Description that a served policy gives of itself."""
     execution: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """How the chunks of a policy are executed, and what it is told to do."""
+    """How the chunks of a policy are executed, and the instruction that it receives."""
     modules: tuple[str, ...] = ()
     """Modules of its code."""
 

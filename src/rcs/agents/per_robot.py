@@ -69,8 +69,8 @@ class PerRobot(Agent):
     @property
     def failure_message(self) -> str | None:
         """Words on what went wrong, agent by agent; None if nothing did."""
-        told = {name: pace.agent.failure_message for name, pace in self._paces.items()}
-        return "; ".join(f"{name}: {words}" for name, words in told.items() if words) or None
+        messages = {name: pace.agent.failure_message for name, pace in self._paces.items()}
+        return "; ".join(f"{name}: {words}" for name, words in messages.items() if words) or None
 
     @property
     def note_fields(self) -> Sequence[Note]:

@@ -200,7 +200,7 @@ class PlaceTeacher(PickTeacher):
 
     It grasps as `PickTeacher` does, lifts, carries the cuboid into a funnel that leads down to the mark, and lets go of
     it where it stands. A cuboid that lies on the mark is left alone, even one that fell there and does not count: only
-    a memory would tell. `PlaceExpert` goes through phases instead.
+    a memory would show that. `PlaceExpert` goes through phases instead.
     """
 
     task = Place

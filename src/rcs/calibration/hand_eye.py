@@ -134,7 +134,7 @@ def hand_eye(
             from the views.
 
     Raises:
-        InvalidSetup: The views cannot tell, and the message says which motions are missing; or they contradict each
+        InvalidSetup: The views do not suffice, and the message says which motions are missing; or they contradict each
             other; or `robot` is negative or not finite.
     """
     if robot is not None and not (np.isfinite(robot).all() and min(robot) >= 0):

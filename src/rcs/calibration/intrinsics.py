@@ -65,7 +65,7 @@ class IntrinsicsFit:
 def fit_intrinsics(board: Board, pictures: Sequence[Detections], size: tuple[int, int]) -> IntrinsicsFit:
     """Find how a camera sees.
 
-    The fit finds k1, k2, p1 and p2 of the distortion; k3 stays 0, because it takes corners at the very border to tell.
+    The fit finds k1, k2, p1 and p2 of the distortion; k3 stays 0, because only corners at the very border show it.
 
     Args:
         board: The board.
@@ -73,7 +73,7 @@ def fit_intrinsics(board: Board, pictures: Sequence[Detections], size: tuple[int
         size: Width and height of all pictures [px].
 
     Raises:
-        InvalidSetup: The pictures cannot tell; the message says which are missing.
+        InvalidSetup: The pictures do not suffice; the message says which are missing.
     """
     least = min(FEWEST_TAGS, len(board.ids))
     usable = [found for found in pictures if len(found) >= least]

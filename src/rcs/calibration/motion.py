@@ -1,4 +1,4 @@
-"""Whether the poses of a set of views can tell where the camera is, and which motions are missing.
+"""Whether the poses of a set of views determine where the camera is, and which motions are missing.
 
 Two rotations about different axes are the least (Tsai and Lenz, "A new technique for fully autonomous and efficient 3D
 robotics hand/eye calibration", 1989). Far from the least, errors shrink with the size of the rotations.
@@ -63,7 +63,7 @@ class Motions:
         return missing
 
     def require_enough(self) -> None:
-        """Refuse a set that cannot tell where the camera is.
+        """Refuse a set that does not determine where the camera is.
 
         Raises:
             InvalidSetup: Motions are missing; the message says which.

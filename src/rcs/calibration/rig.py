@@ -36,7 +36,7 @@ class Rig:
     camera_in_mount: Pose
     """About where the camera is: some centimetres and degrees from it. Poses to drive to are found with it."""
     board_in_anchor: Pose | None = None
-    """About where the board is; None if only a first view can tell."""
+    """About where the board is; None if only a first view can show it."""
 
     def __post_init__(self) -> None:
         """Check the arrangement.

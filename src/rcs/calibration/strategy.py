@@ -122,7 +122,7 @@ def _draw(rig: Rig, joints: Sequence[NDArray[np.float64]], rng: np.random.Genera
 
 
 def _informations(guess: Guess, board: Board, anchors: NDArray[np.float64], rig: Rig) -> list[NDArray[np.float64]]:
-    """Return what a view from every pose would tell, (12, 12) each."""
+    """Return the information that a view from every pose would add, (12, 12) each."""
     count, tags = len(anchors), len(board.ids)
     expected = Sightings(
         np.repeat(np.arange(count), tags),
@@ -185,7 +185,7 @@ class CalibrationStrategy(ABC):
         """Return where the camera is.
 
         Raises:
-            InvalidSetup: The pictures cannot tell; the message says what is missing.
+            InvalidSetup: The pictures do not suffice; the message says what is missing.
         """
 
     def about(self) -> dict[str, Any]:

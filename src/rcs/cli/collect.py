@@ -101,8 +101,8 @@ class CollectCommand(SetupOptions):
             if not sys.stdin.isatty():
                 raise InvalidSetup("The input is no terminal, and a person at a terminal places objects and judges.")
             for attempt in attempts:  # a bar would write over the questions
-                told = {True: "done", False: "not done", None: "not known"}[attempt.result.success]
-                console.print(f"Episode {attempt.number + 1} of {self.kept.episodes}: {told}")
+                text = {True: "done", False: "not done", None: "not known"}[attempt.result.success]
+                console.print(f"Episode {attempt.number + 1} of {self.kept.episodes}: {text}")
             return
         if isinstance(supervisor, VirtualSupervisor):
             console.print(f"{supervisor.name} is a virtual robot, which places its objects and judges by itself.")

@@ -137,8 +137,8 @@ def _packages(site: Site) -> list[Finding]:
             continue
         needs = [need for line in importlib.metadata.requires(PACKAGE) or [] if (need := _NEED.fullmatch(line))]
         names = [need["package"] for need in needs if need["extra"] == driver]
-        told = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
-        found.append(Finding(part=part, status="ok", message=told))
+        text = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
+        found.append(Finding(part=part, status="ok", message=text))
     return found
 
 

@@ -10,7 +10,7 @@ import tyro
 from rcs_data.cli.console import plain_console
 from rcs_data.cli.program import INTERRUPTED
 
-from rcs.cli.runs import LedgerOptions, PoolOptions, attempts_of, interruptible, show, tell
+from rcs.cli.runs import LedgerOptions, PoolOptions, attempts_of, interruptible, print_results, show
 from rcs.cli.setup_options import SetupOptions
 from rcs.cli.simulator_options import SimulatorOptions
 from rcs.errors import InvalidSetup
@@ -65,5 +65,5 @@ class EvalCommand(SetupOptions):
                 show(attempts, title, len(evaluation.numbers), console, summary)
             videos = self.ledger.videos
         finally:
-            tell(evaluation, summary, videos, time.perf_counter() - started, made_by, console)
+            print_results(evaluation, summary, videos, time.perf_counter() - started, made_by, console)
         return INTERRUPTED if summary.is_interrupted else 0

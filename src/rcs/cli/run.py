@@ -18,7 +18,7 @@ from rcs_data.view import write_report
 from rich.console import Console
 
 from rcs.agents.identity import identity_of
-from rcs.cli.runs import LedgerOptions, interruptible, show, tell
+from rcs.cli.runs import LedgerOptions, interruptible, print_results, show
 from rcs.cli.setup_options import SetupOptions
 from rcs.cli.simulator_options import SimulatorOptions
 from rcs.envs.env import Env
@@ -129,7 +129,7 @@ class RunCommand(SetupOptions):
                 self._episodes(evaluation, summary, console, foreign)
             videos = self.ledger.videos
         finally:
-            tell(evaluation, summary, videos, time.perf_counter() - started, "one", console, self.record)
+            print_results(evaluation, summary, videos, time.perf_counter() - started, "one", console, self.record)
             if summary.attempts and self.record is not None and self.record.is_dir():
                 console.print(f"Recorded: {write_report(self.record)}", soft_wrap=True)
         return INTERRUPTED if summary.is_interrupted else 0
@@ -152,8 +152,8 @@ class RunCommand(SetupOptions):
             self._person(env, console) as judge,
         ):
             for attempt in evaluate_blind(evaluations, summary, env, judge=judge, recorder=recorder):
-                told = _WORDS[attempt.result.success]
-                console.print(f"Episode {len(summary.attempts)} of {2 * len(one.numbers)}: {told}")
+                text = _WORDS[attempt.result.success]
+                console.print(f"Episode {len(summary.attempts)} of {2 * len(one.numbers)}: {text}")
             if judge is not None and not summary.is_interrupted:
                 judge.end()
         with Ledger(self.ledger.out) as made:
@@ -234,8 +234,8 @@ def person(
 def ask_about(attempts: Iterator[Attempt], total: int, summary: Summary, judge: PersonJudge, console: Console) -> None:
     """Go through attempts that a person judges, and print each answer: a bar would write over the questions."""
     for attempt in attempts:
-        told = _WORDS[attempt.result.success]
-        console.print(f"Episode {attempt.number + 1} of {total}: {told}")
+        text = _WORDS[attempt.result.success]
+        console.print(f"Episode {attempt.number + 1} of {total}: {text}")
     if not summary.is_interrupted:
         judge.end()
 

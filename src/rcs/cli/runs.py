@@ -99,7 +99,7 @@ def attempts_of(evaluation: Evaluation, summary: Summary, pool: PoolOptions) -> 
     return evaluate(evaluation, summary), made_by
 
 
-def tell(
+def print_results(
     evaluation: Evaluation,
     summary: Summary,
     videos: int,
@@ -112,7 +112,7 @@ def tell(
 
     Args:
         evaluation: The evaluation, which has a folder.
-        summary: Its results; nothing is told without any.
+        summary: Its results; nothing is printed without any.
         videos: How many episodes to film.
         seconds: How long it took [s].
         workers: Who made them, in words or a number of processes.
@@ -138,7 +138,7 @@ def tell(
 def _film(
     evaluation: Evaluation, ledger: Ledger, condition: str, videos: int, recording: Path | None, console: Console
 ) -> None:
-    """Film episodes, and tell which of them ended differently."""
+    """Film episodes, and print which of them ended differently."""
     if ledger.condition(condition).is_real:
         if recording is None:
             console.print("Real episodes are filmed from their recording: give --record, too.", soft_wrap=True)
@@ -161,7 +161,7 @@ def _outcome(result: Row | EpisodeResult) -> str:
 
 
 class Interruptible(Protocol):
-    """A run that ends after what is at work once it is told to."""
+    """A run that ends after what is at work once it is interrupted."""
 
     is_interrupted: bool
 
@@ -174,12 +174,12 @@ def show(
     summary: Summary,
     done: Callable[[], int] | None = None,
 ) -> None:
-    """Go through attempts with a bar that tells how many succeed and how fast they are made.
+    """Go through attempts with a bar that shows how many succeed and how fast they are made.
 
     The bar counts those that are to be run, repetitions among them; the rate is that of the results, without them.
 
     Args:
-        attempts: Each is made when it is asked for.
+        attempts: Each is made when it is requested.
         title: Words before the bar.
         total: How many there shall be in the end, with those that were found.
         console: Where the bar is.
@@ -190,20 +190,20 @@ def show(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("{task.fields[told]}", markup=False),
+        TextColumn("{task.fields[text]}", markup=False),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
     done = done or (lambda: len(summary.attempts))
     made = found = 0
     with Progress(*columns, console=console) as bar:
-        task = bar.add_task(title, total=total, told="")
+        task = bar.add_task(title, total=total, text="")
         start = time.perf_counter()
         try:
             for made, _ in enumerate(attempts, 1):
                 found = summary.found if made == 1 else found  # the last attempt may be followed by those of others
-                told = f"{_rate(summary)}, {made / (time.perf_counter() - start):.2f} episodes/s"
-                bar.update(task, total=total - found, completed=min(done(), total) - found, told=told)
+                text = f"{_rate(summary)}, {made / (time.perf_counter() - start):.2f} episodes/s"
+                bar.update(task, total=total - found, completed=min(done(), total) - found, text=text)
             bar.update(task, completed=min(done(), total) - found)
         except BaseException:
             if not made:  # an empty bar says nothing: the error stands alone
@@ -250,14 +250,14 @@ def _rate(summary: Summary, word: str = " success") -> str:
 
 
 @contextmanager
-def interruptible(run: Interruptible, console: Console, told: str = ENDING) -> Generator[None]:
+def interruptible(run: Interruptible, console: Console, text: str = ENDING) -> Generator[None]:
     """Let the first Ctrl-C end a run, which says so, after what is at work; the second, or SIGTERM, at once."""
 
     def on_interrupt(number: int, frame: object) -> None:
         if run.is_interrupted:
             raise KeyboardInterrupt
         run.is_interrupted = True
-        console.print(told)
+        console.print(text)
 
     def on_termination(number: int, frame: object) -> None:
         raise KeyboardInterrupt  # who sends it will not wait for long: close what is open, and end

@@ -13,9 +13,9 @@ class StopCommand:
 
     def run(self) -> int:
         """Stop, and print what came of it."""
-        told = stop_hosts()
-        for name, outcome in told.items():
+        outcomes = stop_hosts()
+        for name, outcome in outcomes.items():
             print(f"{name}: {outcome}")
-        if not told:
+        if not outcomes:
             print("No host is running. Devices that run in their program itself are stopped there, by Ctrl-C.")
-        return 1 if any("killed" in outcome for outcome in told.values()) else 0
+        return 1 if any("killed" in outcome for outcome in outcomes.values()) else 0

@@ -17,7 +17,7 @@ from rcs_data.read.verdicts import Verdicts
 from rich.console import Console
 
 from rcs.cli.run import ask_about, fitted_setup, person
-from rcs.cli.runs import LedgerOptions, PoolOptions, attempts_of, interruptible, show, tell
+from rcs.cli.runs import LedgerOptions, PoolOptions, attempts_of, interruptible, print_results, show
 from rcs.cli.setup_options import SetupOptions, changed
 from rcs.envs.env import Env
 from rcs.errors import InvalidSetup
@@ -104,7 +104,7 @@ class SweepCommand(SetupOptions):
     def _evaluate(
         self, steps: int, path: Path, options: dict[str, Any], console: Console, seed: int | None = None
     ) -> Summary:
-        """Evaluate a checkpoint and tell how it went."""
+        """Evaluate a checkpoint and print how it went."""
         name = f"{self.ledger.name or name_of(path)}@{steps}" + ("" if seed is None else f" {AGAIN}")
         summary, started = Summary(), time.perf_counter()
         with ExitStack() as stack:
@@ -126,7 +126,7 @@ class SweepCommand(SetupOptions):
                 ray=self.pool.ray,
             )
             evaluation, real = replace(evaluation, name=name), None
-            if self.hardware is not None and seed is None:  # what is wrong with it is told before anything runs
+            if self.hardware is not None and seed is None:  # errors in it are raised before anything runs
                 real = stack.enter_context(make(setup, hardware=self.hardware))
             attempts, made_by = attempts_of(evaluation, summary, self.pool)
             with interruptible(summary, console):
@@ -134,19 +134,19 @@ class SweepCommand(SetupOptions):
                 while wait_for_others(evaluation, summary):
                     for _ in attempts_of(evaluation, summary, self.pool)[0]:
                         pass
-            tell(evaluation, summary, self.ledger.videos, time.perf_counter() - started, made_by, console)
+            print_results(evaluation, summary, self.ledger.videos, time.perf_counter() - started, made_by, console)
             if real is not None and not summary.is_interrupted:
                 summary.is_interrupted = self._evaluate_on(real, evaluation, console)
         return summary
 
     def _evaluate_on(self, real: Env, evaluation: Evaluation, console: Console) -> bool:
-        """Evaluate a checkpoint on devices, tell how it went, and return whether that was interrupted."""
+        """Evaluate a checkpoint on devices, print how it went, and return whether that was interrupted."""
         evaluation = replace(evaluation, episodes=self.real_episodes, workers=1, ray=None, against=None, until=None)
         summary, started = Summary(), time.perf_counter()
         with interruptible(summary, console), person(real, console, self.page) as judge:
             attempts = evaluate(evaluation, summary, env=real, judge=judge)
             ask_about(attempts, len(evaluation.numbers), summary, judge, console)
-        tell(evaluation, summary, 0, time.perf_counter() - started, "one", console)
+        print_results(evaluation, summary, 0, time.perf_counter() - started, "one", console)
         return summary.is_interrupted
 
     def _own_setup(self, path: Path) -> Any:

@@ -93,8 +93,8 @@ class TeleopCommand(SetupOptions):
             recorder = stack.enter_context(record(env, self.record, notes=agent.note_fields))
             takes = Takes(recorder, env.frequency, instructions=self.instruction, latency=latency)
         (operator,) = people_of(agent)
-        operator.open()  # before the robots, so that a device that is missing is told first
-        loop = Teleoperation(env, agent, takes=takes, seed=self.seed, tell=console.print)
+        operator.open()  # before the robots, so that a missing device is reported first
+        loop = Teleoperation(env, agent, takes=takes, seed=self.seed, report=console.print)
         if device.instructions:
             console.print(device.instructions, soft_wrap=True)
         console.print(f"{' and '.join(self.input)} leads {', '.join(env.robots)}. Ctrl-C ends.", soft_wrap=True)

@@ -200,20 +200,20 @@ def _show(training: Training, out: Path, progress: Progress, console: Console, t
         TextColumn("{task.fields[doing]:10}"),
         BarColumn(bar_width=12),
         TextColumn("{task.fields[made]} steps, {task.fields[speed]:.0f}/s"),
-        TextColumn("{task.fields[told]}"),
+        TextColumn("{task.fields[text]}"),
         _TimeLeft(),
     )
     noted, scored = 0, progress.score
     with Bar(*columns, console=console) as bar:
-        task = bar.add_task("", total=training.steps, doing=progress.doing, speed=0.0, made="", told="")
+        task = bar.add_task("", total=training.steps, doing=progress.doing, speed=0.0, made="", text="")
         for _ in train(training, out, progress, threads=threads, videos=videos):
             for note in progress.notes[noted:]:
                 console.print(note, soft_wrap=True)
             noted = len(progress.notes)
-            told = "" if progress.score is None else f"success {_rate(progress.score)}"
+            text = "" if progress.score is None else f"success {_rate(progress.score)}"
             done = min(progress.steps, training.steps)
             made = f"{short(progress.steps)}/{short(training.steps)}"
-            bar.update(task, completed=done, doing=progress.doing, speed=progress.speed, made=made, told=told)
+            bar.update(task, completed=done, doing=progress.doing, speed=progress.speed, made=made, text=text)
             if progress.score is not scored:
                 scored = progress.score
                 write_report(out)
@@ -225,8 +225,8 @@ def _summarise(progress: Progress, out: Path, console: Console) -> None:
     minutes, seconds = divmod(round(progress.seconds), 60)
     console.print(f"{progress.steps} steps in {minutes} min {seconds} s.", soft_wrap=True)
     if progress.best is not None and progress.best.score is not None:
-        told = _rate(progress.best.score)
-        console.print(f"Best: {progress.best.path}, success {told}", soft_wrap=True)
+        text = _rate(progress.best.score)
+        console.print(f"Best: {progress.best.path}, success {text}", soft_wrap=True)
     console.print(f"Report: {write_report(out)}", soft_wrap=True)
     console.print(f"Evaluate: rcs eval {out} --episodes 300 --videos 10", soft_wrap=True)
 

@@ -124,17 +124,17 @@ def require_native(parts: Parts) -> None:
         if arm is None:
             continue
         own = _tcp_in_flange(robot)
-        told = ", ".join(f"{number:g}" for number in np.round(own.tquat, 6) + 0.0)
+        text = ", ".join(f"{number:g}" for number in np.round(own.tquat, 6) + 0.0)
         if kind not in arm.commands():
             known = ", ".join(sorted(one.name for one in arm.commands()))
             raise InvalidSetup(
                 f"native=True and control={setup.control!r} need an arm that takes {kind.name}; {arm.name} takes "
-                f"{known}. Use native=False or, where its driver has the option 'tcp', give it: [{told}]."
+                f"{known}. Use native=False or, where its driver has the option 'tcp', give it: [{text}]."
             )
         given = parts.devices.tcp.get(robot.name)
         if given is not None and not Pose.from_tquat(given).is_close(own, *SAME):
             raise InvalidSetup(
-                f"The site gives {arm.name} the TCP {list(given)}; that of {robot.name} in this setup is [{told}], and "
+                f"The site gives {arm.name} the TCP {list(given)}; that of {robot.name} in this setup is [{text}], and "
                 "its controller would lead another point. Give it this one as the option 'tcp'."
             )
 

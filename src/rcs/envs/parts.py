@@ -19,8 +19,7 @@ from rcs.sim.tactile_mounts import TactilePlacement
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """The parts that an environment is put together from: those that a setup names, looked up, and those that a user
-    adds."""
+    """The parts of an environment: those that a setup names, looked up, and those that a user adds."""
 
     setup: Setup
     """The setup itself: numbers and options."""

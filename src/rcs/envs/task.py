@@ -78,12 +78,12 @@ class Judgement:
     """A task's verdict on the present state, which the reward is made of. Arrays have the world's leading shape."""
 
     success: NDArray[np.bool_] | None = None
-    """Whether the task is done, which `info` tells too; None where there is nothing to judge."""
+    """Whether the task is done, which `info` reports too; None where there is nothing to judge."""
     progress: NDArray[np.float64] | None = None
     """How far the task has come, 0 … 1: the potential of the shaped reward; None for no more to go by than success."""
     is_placed: NDArray[np.bool_] | None = None
     """Whether all is in place, so that only time and rest are left to success; the dense reward then pays for arms at
-    rest. None if the task does not tell."""
+    rest. None if the task does not say."""
     terminated: NDArray[np.bool_] | None = None
     """Whether the episode ends here; None if it does at success, and only then."""
     reward: NDArray[np.float64] | None = None

@@ -169,7 +169,7 @@ class ChunkAgent(Agent):
 
     @property
     def weights(self) -> str | None:
-        """The hash that the server tells."""
+        """The hash that the server reports."""
         return self.metadata.checkpoint_hash or None
 
     @property

@@ -44,7 +44,7 @@ RESUMABLE = 3
 _PARTIAL = ".partial"
 _NAME = re.compile(r"\d{9,}")
 _ARRAY = "__array__"
-"""Key of an array among the values of a file, to tell it from a tensor."""
+"""Key of an array among the values of a file, to distinguish it from a tensor."""
 
 
 class Score(Record):

@@ -101,8 +101,8 @@ def _success(rows: Sequence[Row], training: Training) -> Html:
     lines = [evaluated]
     if explored := _series(rows, "rollout/success_rate", "exploring, last 100 episodes of training"):
         percent = [100 * y for y in explored.y]
-        told = [f"{y:.0f} %" for y in percent]
-        lines.append(replace(explored, y=percent, told=told, colour=1))
+        labels = [f"{y:.0f} %" for y in percent]
+        lines.append(replace(explored, y=percent, told=labels, colour=1))
     most = _most(rows, training)
     # One for screens, one for phones, on which the first would be as flat as it is wide.
     drawn = (chart(title, lines, most=most, span=(0, 100), width=width) for width in (1000, 460))

@@ -91,7 +91,7 @@ class Step:
     reward: float = 0.0
     """Sum since the reset."""
     was_touched: bool = False
-    """Whether an object was touched before the gripper was told to close."""
+    """Whether an object was touched before the gripper was commanded to close."""
     stages: int | None = None
     """Most stages that were reached since the reset; None if no task counts them."""
     is_over: bool
@@ -212,7 +212,7 @@ def verdict(end: str, success: Any, was_touched: bool, agent: Agent) -> tuple[bo
     Args:
         end: The entry `end` of the last info.
         success: The verdict of the task or of a judge; None without one.
-        was_touched: Whether an object was touched before the gripper was told to close.
+        was_touched: Whether an object was touched before the gripper was commanded to close.
         agent: The agent, which may know why it failed.
     """
     if end in (FAULT, DIVERGED):

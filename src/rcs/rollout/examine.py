@@ -183,10 +183,10 @@ def _watch(name: str, device: Any, seconds: float, stale_after: float) -> list[F
     gaps = np.diff(times)
     rate = 1.0 / float(np.mean(gaps)) if len(gaps) else 0.0
     gap = float(gaps.max()) if len(gaps) else seconds
-    told = f"{rate:.1f} measurements/s, longest gap {1e3 * gap:.0f} ms, longest call {1e3 * max(calls):.0f} ms"
+    text = f"{rate:.1f} measurements/s, longest gap {1e3 * gap:.0f} ms, longest call {1e3 * max(calls):.0f} ms"
 
     def fault(message: str, remedy: str) -> list[Finding]:
-        return [Finding(part=name, status="fault", message=f"{message}; {told}", remedy=remedy)]
+        return [Finding(part=name, status="fault", message=f"{message}; {text}", remedy=remedy)]
 
     if device.fault:
         return fault(device.fault, _remedy(device.fault))
@@ -208,10 +208,10 @@ def _watch(name: str, device: Any, seconds: float, stale_after: float) -> list[F
         beyond = (joints < np.array(limits.joint_lower)) | (joints > np.array(limits.joint_upper))
         if beyond.any():
             numbers = ", ".join(str(i + 1) for i in np.flatnonzero(beyond))
-            message = f"joints {numbers} are out of their range; {told}"
+            message = f"joints {numbers} are out of their range; {text}"
             remedy = "move them back by hand, or calibrate"
             return [Finding(part=name, status="warning", message=message, remedy=remedy)]
-    return [Finding(part=name, status="ok", message=told)]
+    return [Finding(part=name, status="ok", message=text)]
 
 
 _REMEDIES: Sequence[tuple[str, str]] = (
@@ -239,7 +239,7 @@ def _remedy(message: str, usual: str = LOOK_AT_IT) -> str:
 
 
 def _fault(part: str, err: Exception, usual: str = LOOK_AT_IT) -> Finding:
-    """Return the fault of a part that an error tells; that of a missing package says the remedy itself."""
+    """Return the fault of a part that an error reports; that of a missing package says the remedy itself."""
     message = str(err)
     remedy = message.rpartition(": ")[2] if isinstance(err, MissingDependency) else _remedy(message, usual)
     return Finding(part=part, status="fault", message=message, remedy=remedy)

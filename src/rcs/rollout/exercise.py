@@ -181,7 +181,7 @@ def _exercised(name: str, arm: Arm) -> Finding:
     try:
         arm.open()
         one = _Exercise(arm)
-        for clause, check in CLAUSES:  # noqa: B007  the one that is not kept is told
+        for clause, check in CLAUSES:  # noqa: B007  the one that is not kept is named
             check(one)
     except (_NotKeptError, RcsError) as err:
         trouble = [f"not so at {100 * SPEED:g} % of its speed: {clause}: {err}"]

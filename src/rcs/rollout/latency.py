@@ -103,11 +103,11 @@ class Latency(Observer):
 
     def __str__(self) -> str:
         """Return the figures of the session in a line."""
-        told = {"command": _figures(self.commands), "picture": _figures(self.pictures)}
+        both = {"command": _figures(self.commands), "picture": _figures(self.pictures)}
         return (
             "; ".join(
                 f"event to {name}: median {1e3 * own['median']:.1f} ms, p99 {1e3 * own['p99']:.1f} ms ({own['count']})"
-                for name, own in told.items()
+                for name, own in both.items()
                 if own["count"]
             )
             or "no motion was seen"

@@ -116,7 +116,7 @@ class SeededScene(Closing):
         return self._world.model
 
     def describe(self, poses: Poses) -> dict[str, Any]:
-        """Return what the task tells at the start of an episode in which the objects are at these poses."""
+        """Return what the task reports at the start of an episode in which the objects are at these poses."""
         self._simulation.start_at(check_start(self._robots, poses, None, poses))
         return self._simulation.describe()
 
@@ -220,8 +220,8 @@ class PlacesInSimulation:
         if found.pose is None:
             return None, by_reset(str(found.why), found)
         poses = self._apart.simulation.object_poses()
-        told = judged(found, self._scene.poses(seed, found.number), poses, self._placer.name)
-        return ({"objects": poses} if told["by"] == "robot" else None), told
+        verdict = judged(found, self._scene.poses(seed, found.number), poses, self._placer.name)
+        return ({"objects": poses} if verdict["by"] == "robot" else None), verdict
 
     def close(self) -> None:
         """Close what was made."""

@@ -132,7 +132,7 @@ class _Informed(Agent):
         self.rate = agent.rate
         self.known: Mapping[str, Any] = {}
         self.grasp: NDArray[np.float64] | None = None
-        """Pose of the TCP where the gripper was told to close last, (7,); None before, and with several robots."""
+        """Pose of the TCP where the gripper was commanded to close last, (7,); None before, and with several robots."""
         self._was_open = True
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:

@@ -24,7 +24,7 @@ PATIENCE = 180.0
 """How long a server may take until it answers [s]: large weights are read from a slow disk."""
 _PAUSE, _GRACE = 0.2, 10.0
 _TOLD = 15
-"""Lines of a server's output that are told when it fails."""
+"""Lines of a server's output that are shown when it fails."""
 _WATCH = "import os, sys; sys.stdin.read(); os.killpg(int(sys.argv[1]), 9)"
 """Program that kills a group of processes once the one that started it, and has the other end of its input, is gone."""
 

@@ -72,8 +72,8 @@ class LoopStatistics:
         """Return the figures in a line."""
         mean, deviation = self.rates
         ages = ", ".join(f"{key} {1e3 * age:.0f} ms" for key, age in self.oldest.items())
-        told = f"; oldest: {ages}" if ages else ""
-        return f"{self.steps} steps at {mean:.2f} ± {deviation:.2f} Hz, {self.late} late{told}"
+        text = f"; oldest: {ages}" if ages else ""
+        return f"{self.steps} steps at {mean:.2f} ± {deviation:.2f} Hz, {self.late} late{text}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,7 +36,7 @@ class Teleoperation:
         *,
         takes: Takes | None = None,
         seed: int = 0,
-        tell: Callable[[str], None] = lambda words: None,
+        report: Callable[[str], None] = lambda words: None,
     ) -> None:
         """Prepare; nothing moves.
 
@@ -45,7 +45,7 @@ class Teleoperation:
             agent: An operator, or agents with operators among them.
             takes: Takes with a recorder of the environment; None for no recording.
             seed: Seed of the first episode.
-            tell: Called with words about takes and faults.
+            report: Called with words about takes and faults.
 
         Raises:
             InvalidSetup: The agent's rate does not divide the environment's.
@@ -63,7 +63,7 @@ class Teleoperation:
         """Whether the episode is over, by a fault, so that only `reset` goes on."""
         self.is_ending = False
         """Whether the loop ends."""
-        self._pace, self._tell = Pace(env, agent), tell
+        self._pace, self._report = Pace(env, agent), report
         self._ended: float | None = None
 
     @property
@@ -115,7 +115,7 @@ class Teleoperation:
         elif event == "reset":
             if self.takes is not None and self.takes.is_recording:
                 self.env.hold()
-                self._tell(self.takes.finish(None))
+                self._report(self.takes.finish(None))
             self._begin_anew()
         elif event in ("start", "discard", *VERDICTS):
             self._judge(event)
@@ -136,13 +136,13 @@ class Teleoperation:
         self.is_over = True
         if faults := self.info.get("faults"):
             words = "; ".join(f"{name}: {why}" for name, why in faults.items())
-            self._tell(f"{'Fault' if self.info['end'] == FAULT else 'The episode is over'}: {words}. Reset to go on.")
+            self._report(f"{'Fault' if self.info['end'] == FAULT else 'The episode is over'}: {words}. Reset to go on.")
         elif self.takes is not None and self.takes.is_recording:
             self._end(self.takes, verdict_of(self.info))
         elif self.is_simulated:
             self.begin()
         else:
-            self._tell("The episode is over. Reset to go on.")
+            self._report("The episode is over. Reset to go on.")
 
     def _begin_anew(self) -> None:
         """Clear faults and begin the next episode; while they stay it is over, and a person may ask again."""
@@ -152,18 +152,18 @@ class Teleoperation:
             self.is_over = True
             self.begin()
         except RcsError as err:
-            self._tell(f"{type(err).__name__}: {err} Reset to try again.")
+            self._report(f"{type(err).__name__}: {err} Reset to try again.")
 
     # --- Takes --------------------------------------------------------------------------------------------------------
 
     def _judge(self, event: Event) -> None:
         takes = self.takes
         if takes is None:
-            self._tell("Nothing is recorded; give a folder to record into.")
+            self._report("Nothing is recorded; give a folder to record into.")
         elif event == "start" and takes.now is None:
-            self._tell("The episode is over. Reset before the next take." if self.is_over else takes.start())
+            self._report("The episode is over. Reset before the next take." if self.is_over else takes.start())
         elif takes.now is None:
-            self._tell("There is no take; start one first.")
+            self._report("There is no take; start one first.")
         elif event == "discard":
             self._end(takes, None, is_kept=False)
         elif takes.is_recording:
@@ -171,7 +171,7 @@ class Teleoperation:
 
     def _end(self, takes: Takes, success: bool | None, *, is_kept: bool = True) -> None:
         self.env.hold()  # writing takes longer than a period
-        self._tell(takes.finish(success) if is_kept else takes.discard())
+        self._report(takes.finish(success) if is_kept else takes.discard())
         if self.is_simulated:
             self.begin(None if is_kept else self.seed)
         elif not self.is_over:

@@ -108,13 +108,12 @@ class MountedCamera:
 
     @property
     def _parent_in_mount(self) -> Pose:
-        """Pose of the part that carries the camera in the setup, in the part that does for the rig: gripper in flange,
-        or scene in base."""
+        """Pose of the camera's carrier in the setup, in its carrier in the rig: gripper in flange, or scene in base."""
         return self._gripper_in_flange if self.arrangement == "eye-in-hand" else self._scene_in_base
 
     @property
     def _carrier_in_anchor(self) -> Pose:
-        """Pose of the part that carries the board in the setup, in the part that does for the rig."""
+        """Pose of the board's carrier in the setup, in its carrier in the rig."""
         return self._scene_in_base if self.arrangement == "eye-in-hand" else self._gripper_in_flange
 
     @property

@@ -143,7 +143,7 @@ class Feed(Closing):
                 self._thread = None
 
     def _run(self, must_end: threading.Event) -> None:
-        is_lost, told = False, ""
+        is_lost, text = False, ""
         while not must_end.is_set():
             try:
                 if is_lost:
@@ -162,9 +162,9 @@ class Feed(Closing):
                 with self._lock:
                     self._newest, self._why = None, f"{type(err).__name__}: {err}"
                     self.counts["lost"] += 1
-                if self._why != told:
-                    told = self._why
-                    _log.warning("The input device is lost, and tried again every %g s: %s", RETRY, told)
+                if self._why != text:
+                    text = self._why
+                    _log.warning("The input device is lost, and tried again every %g s: %s", RETRY, text)
                 must_end.wait(RETRY)
 
     def _take(self, reading: Reading) -> None:

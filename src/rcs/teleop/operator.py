@@ -112,16 +112,16 @@ class Operator(Agent):
     @property
     def problem(self) -> str:
         """Why hands are held or do not engage, and what was left out, in words; empty if nothing is wrong."""
-        told = [f"{name}: {hand.why}" for name, hand in self._hands.items() if hand.why]
+        words = [f"{name}: {hand.why}" for name, hand in self._hands.items() if hand.why]
         if self.news.reading is None and self.news.why:
-            told = [self.news.why]
-        return "; ".join([*told, *self.left_out])
+            words = [self.news.why]
+        return "; ".join([*words, *self.left_out])
 
     @property
     def left_out(self) -> list[str]:
         """Words on what was left out of the device's messages and how often; empty for nothing."""
-        told = ", ".join(f"{flaw} {number}" for flaw, number in self.feed.left_out.items())
-        return [f"left out: {told}"] if told else []
+        text = ", ".join(f"{flaw} {number}" for flaw, number in self.feed.left_out.items())
+        return [f"left out: {text}"] if text else []
 
     @property
     def note_fields(self) -> Sequence[Note]:

@@ -62,7 +62,7 @@ class DescriptionContract:
         return scene.compile()
 
     def at(self, model: mujoco.MjModel, joints: Sequence[float] | NDArray[np.float64]) -> mujoco.MjData:
-        """Return data with the arm at joints [rad] and told to stay, and a gripper open."""
+        """Return data with the arm at joints [rad] and commanded to stay, and a gripper open."""
         data = mujoco.MjData(model)
         robot = self.placement
         for joint, servo, q in zip(self.arm.joints, self.arm.actuators, joints, strict=True):

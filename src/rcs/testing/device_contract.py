@@ -55,7 +55,7 @@ class DeviceContract(Generic[D]):
         pytest.skip("override restore_link to test what follows when the link is back")
 
     def is_energised(self, device: D) -> bool | None:
-        """Return whether an open device's motors have power, None if unknown; override it where a test can tell."""
+        """Return whether an open device's motors have power, None if unknown; override it where a test can find out."""
         return None
 
     @contextmanager

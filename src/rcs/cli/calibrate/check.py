@@ -30,7 +30,7 @@ class CheckCommand(SessionOptions):
     """Largest distance of corners from where they are expected, as the median [px]."""
 
     def run(self) -> int:
-        """Look, compare, and tell."""
+        """Look, compare, and print the result."""
         console = plain_console()
         boards = read_calibration(self.calibration).boards
         if self.camera not in boards:

@@ -19,10 +19,10 @@ from rcs.spatial import Intrinsics
 class HandEyeCommand(SessionOptions):
     """Find where a camera is, on a gripper or beside the robot, by looking at a board from many poses.
 
-    The arm goes by itself from pose to pose, to those from which the next picture tells most; on hardware each is
-    asked for first. The camera's pose, its covariance and the place of the board are written to the calibration file,
-    which `calibration="…"` of an environment takes; if it says already how the camera sees, that is used. Exit code 1,
-    and nothing is written, if something is amiss.
+    The arm goes by itself from pose to pose, to those from which the next picture adds most; on hardware a person
+    confirms each first. The camera's pose, its covariance and the place of the board are written to the calibration
+    file, which `calibration="…"` of an environment takes; if it says already how the camera sees, that is used. Exit
+    code 1, and nothing is written, if something is amiss.
     """
 
     intrinsics: bool = False
@@ -33,7 +33,7 @@ class HandEyeCommand(SessionOptions):
     """Calibration file; what it has of other cameras stays."""
 
     def run(self) -> int:
-        """Calibrate, tell how well, and write."""
+        """Calibrate, print how well, and write."""
         require_writable(self.out, is_file=True)
         console = plain_console()
         setup = self.setup()

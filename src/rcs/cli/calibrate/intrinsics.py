@@ -35,7 +35,7 @@ class IntrinsicsCommand(SessionOptions):
     """Calibration file; what it has of other cameras stays."""
 
     def run(self) -> int:
-        """Fit, tell how well, and write."""
+        """Fit, print how well, and write."""
         require_writable(self.out, is_file=True)
         console = plain_console()
         if self.pictures is not None:

@@ -62,7 +62,7 @@ class Recorder(Observer):
         Args:
             writer: The dataset; it stays open when the recorder is closed.
             names: Ids for episodes to be recorded unasked: each from reset to end, with the success that the task
-                tells. None for episodes that `name_next` asks for.
+                reports. None for episodes that `name_next` requests.
             background: Whether a thread encodes and writes, so that a loop that must keep its rate never waits. Then a
                 writer that is too slow leaves out images, flagged and counted; otherwise the loop waits for it.
             stale_after: Age [s] of a frame, from capture to the end of the step, from which it is flagged as stale;
@@ -292,8 +292,8 @@ class Recorder(Observer):
             raise WrongOrder("There is no open episode to finish; start a take, or reset the environment first.")
         begun = self._first_reconnections
         again = {key: n for key, total in self._reconnections.items() if (n := total - begun.get(key, 0))}
-        told = {RECONNECTIONS: again} if again else {}
-        facts = {**self._objects, **told, **self._broken_off, **(outcome or {})}
+        breaks = {RECONNECTIONS: again} if again else {}
+        facts = {**self._objects, **breaks, **self._broken_off, **(outcome or {})}
         record = self._episode.finish(success, facts, instruction=instruction)
         self._episode = None
         self._take, self._last_take = None, self._take

@@ -150,7 +150,7 @@ class Twin(Observer):
 
     def info(self) -> Mapping[str, Any]:
         """Return `twin`: by robot, the last errors, lag and alarm in words, of the step before or an earlier one."""
-        told = {
+        facts = {
             name: {
                 "rms": one.rms,
                 "lag": one.lag,
@@ -159,7 +159,7 @@ class Twin(Observer):
             }
             for name, one in self.comparisons.items()
         }
-        return {"twin": told}
+        return {"twin": facts}
 
     def close(self) -> None:
         """Free the simulation."""

@@ -123,16 +123,16 @@ class CameraPort(Port):
         """How each camera is calibrated, as far as it is known; a device may know it only when it is open."""
         cameras: dict[str, Any] = {}
         for name, camera in self._cameras.items():
-            told = dict(getattr(camera, "about", {}))
+            facts = dict(getattr(camera, "about", {}))
             own, mode = camera.calibration, (camera.mode.width, camera.mode.height)
             if name in self._calibrations:
-                told |= self._calibrations[name].about()
+                facts |= self._calibrations[name].about()
             elif own is not None:
-                told |= {"source": "device", **describe(Intrinsics.of_matrix(own.matrix, mode, own.distortion))}
+                facts |= {"source": "device", **describe(Intrinsics.of_matrix(own.matrix, mode, own.distortion))}
             elif name in self._descriptions:
-                told["source"] = "data sheet"
-            if told:
-                cameras[name] = told
+                facts["source"] = "data sheet"
+            if facts:
+                cameras[name] = facts
         return {"cameras": cameras} if cameras else {}
 
     def observe(self) -> Observation:
@@ -161,8 +161,8 @@ class CameraPort(Port):
         found: dict[str, str] = {}
         for name, feed in self._feeds.items():
             if feed.newest is not None and now - feed.newest[1] > self._limit:
-                told = feed.failure or feed.busy()
-                why = f" ({told})" if told else ""
+                text = feed.failure or feed.busy()
+                why = f" ({text})" if text else ""
                 found[name] = f"no new frame for {now - feed.newest[1]:.2f} s{why}"
         return found
 

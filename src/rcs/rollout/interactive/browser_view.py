@@ -99,7 +99,7 @@ class BrowserView(Page):
         self.submit(request, page)
 
     def _advance(self, panel: Panel) -> bool:
-        """Have the session go on, and return whether it does; what an agent asks for in vain is told."""
+        """Have the session go on, and return whether it does; a request of an agent that is refused is shown."""
         try:
             return self.session.advance()
         except RcsError as err:

@@ -40,7 +40,7 @@ KEYS: Mapping[Event, tuple[str, Literal["T", "Y", "N", "X"]]] = {
 NOBODY = "no robot"
 """Choice of keys that lead nothing."""
 
-KEYS_TOLD = "w s, a d, r f move; o u, i k, j l turn; space: gripper; - =: slower, faster"
+KEYS_HELP = "w s, a d, r f move; o u, i k, j l turn; space: gripper; - =: slower, faster"
 """Keys that lead."""
 
 Submit = Callable[[Callable[[], None], int | None], None]
@@ -124,10 +124,10 @@ class Panel:
         if session.env.is_real:
             lines.append(f"loop: {session.statistics}")
         for person in people_of(session.agent):
-            told = ", ".join([*person.states.values(), *([person.problem] if person.problem else [])])
+            states = ", ".join([*person.states.values(), *([person.problem] if person.problem else [])])
             is_page = person is session.operator
             name = f"keys ({self._keys.speed:.2f} m/s)" if is_page else type(person.device).__name__
-            lines.append(f"{name}: {told}" + (f"  \n{KEYS_TOLD}" if is_page else ""))
+            lines.append(f"{name}: {states}" + (f"  \n{KEYS_HELP}" if is_page else ""))
         if words:
             lines.append(f"> {words}")
         elif reach and session.agent is None:
@@ -139,8 +139,8 @@ class Panel:
             self._status.content = text
         self._recover.visible = bool(session.problem)
         self._show_who_acts()
-        if self._takes is not None and self._takes.content != (told := self._told_of_takes()):
-            self._takes.content = told
+        if self._takes is not None and self._takes.content != (takes := self._words_on_takes()):
+            self._takes.content = takes
 
     def _show_who_acts(self) -> None:
         by_keys = self._session.operator is not None
@@ -148,7 +148,7 @@ class Panel:
         if self._acts is not None:
             _put(self._acts, self._session.agent is not None and not by_keys)
 
-    def _told_of_takes(self) -> str:
+    def _words_on_takes(self) -> str:
         """Return the takes, the newest first."""
         takes = self._session.takes
         if takes is None:
@@ -194,7 +194,7 @@ class Panel:
 
     def _add_keys(self) -> None:
         names = tuple(self._session.guides)
-        self._led = self._server.gui.add_dropdown("Keys lead", (NOBODY, *names), initial_value=NOBODY, hint=KEYS_TOLD)
+        self._led = self._server.gui.add_dropdown("Keys lead", (NOBODY, *names), initial_value=NOBODY, hint=KEYS_HELP)
         _on_value(self._led, self._submit, self._lead_by_keys)
 
     def _add_cameras(self) -> None:

@@ -97,7 +97,7 @@ def _check_episode(
     """Return how many rows and decoded images an episode has, and what is wrong with it."""
     place = EpisodePlace(root, present_folder(episode_folder(root, entry.folder)), entry.id)
     if not place.folder.is_dir():
-        return 0, 0, []  # told with the folder
+        return 0, 0, []  # reported with the folder
     bytes_ = EpisodeBytes(place, info, depth=depth)
     findings = list(bytes_.findings())
     about: dict[str, Any] = bytes_.rows.about
@@ -130,7 +130,7 @@ def _check_entry(place: EpisodePlace, entry: Entry, about: dict[str, Any]) -> It
 
 def _is_resampled(root: Path, info: DatasetInfo) -> bool:
     was_edited = False
-    with suppress(CorruptEpisode):  # told with the folder
+    with suppress(CorruptEpisode):  # reported with the folder
         was_edited = any(edit.command == "resample" for edit in history(root))
     return was_edited or "imported" in info.setup or not {"mix", MERGED}.isdisjoint(info.origin)
 

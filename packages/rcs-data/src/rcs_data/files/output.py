@@ -141,7 +141,7 @@ def refuse_existing(target: Path) -> None:
 def require_writable(path: str | Path, *, is_file: bool = False) -> None:
     """Raise unless a folder, or a file, can be written at a path; nothing is left there.
 
-    It is tried, because permissions tell too little: a file is made and removed in the nearest folder that exists.
+    It is tried, because permissions say too little: a file is made and removed in the nearest folder that exists.
 
     Args:
         path: Where something is going to be written after much work.

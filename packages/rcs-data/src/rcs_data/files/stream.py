@@ -2,7 +2,7 @@
 
 A killed writer leaves a stream that is readable up to its last whole batch. A Parquet file would be lost, since its
 footer is written last. Beside the stream, a file has the size and the CRC-32 of the header and of each batch, written
-after them: what was cut short is told from what was changed.
+after them: they distinguish what was cut short from what was changed.
 """
 
 from __future__ import annotations

@@ -239,5 +239,5 @@ def _open_to_read(path: Path) -> int:
 
 
 def _before(file: int, end: int) -> bytes:
-    """Return what is before a place in the file, by which one that was written anew is told from the former."""
+    """Return what is before a place in the file, which distinguishes one that was written anew from the former."""
     return os.pread(file, min(end, _TAIL), max(end - _TAIL, 0))

@@ -15,7 +15,7 @@ from rcs_data.ledger.row import Row
 from rcs_data.read.verdicts import Verdicts
 
 LEVEL = 0.05
-"""Probability with which equal agents are told apart."""
+"""Probability with which equal agents are found different."""
 _OWN = ("agent", "weights", "trained", "data", "policy", "execution", "tags")
 """Fields of a condition in which two agents may differ: everything else should be the same."""
 
@@ -67,12 +67,12 @@ class Comparison:
             size += f", looking after every pair: e = {pairs.evidence:.3g}, of {1 / self.until:.3g} that are needed"
         if (winner := self.winner) is not None:
             return f"{winner} is better than {self.b if winner == self.a else self.a} {where} ({size})."
-        told = f"Not shown that {self.a} and {self.b} differ {where} ({size})."
+        text = f"Not shown that {self.a} and {self.b} differ {where} ({size})."
         if pairs.discordant < FEWEST:
-            told += f" They ended differently on {pairs.discordant} of them, and fewer than {FEWEST} give no verdict."
+            text += f" They ended differently on {pairs.discordant} of them, and fewer than {FEWEST} give no verdict."
         if self.until is None and (needed := pairs.needed(self.level)) is not None:
-            told += f" About {max(needed, pairs.n + 1)} shared seeds would show a difference of this size."
-        return told
+            text += f" About {max(needed, pairs.n + 1)} shared seeds would show a difference of this size."
+        return text
 
 
 def compare(ledger: Ledger, names: Sequence[str] = ()) -> list[Comparison]:

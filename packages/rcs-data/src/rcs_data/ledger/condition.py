@@ -28,7 +28,7 @@ class Condition(Record):
     policy: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Description that a served policy gives of itself."""
     execution: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """How the chunks of a policy are executed, and what it is told to do."""
+    """How the chunks of a policy are executed, and the instruction that it receives."""
     task: str
     """Name of the task."""
     robot: str

@@ -116,11 +116,11 @@ def _label(group: Group, count: int) -> str:
 
 def _page(ledger: Ledger, groups: Sequence[Group], by: str, svg: bytes) -> str:
     drawing = Html(svg.decode().partition("<svg")[2].join(("<svg", "")))  # without the declaration of a file
-    told = domains_in_words(ledger)
+    text = domains_in_words(ledger)
     rows = [(one.series or "all", str(one.value), str(one.verdicts), one.verdicts.not_judged) for one in groups]
     heads = ("series", by, "success", "not judged")
     words = "Bars and lines are success rates of judged episodes, with 95 % Wilson intervals."
-    section = element("section", element("p", words), told and element("p", told), element("figure", drawing))
+    section = element("section", element("p", words), text and element("p", text), element("figure", drawing))
     title = f"{ledger.folder.resolve().name}: success by {by}"
     return page(title, header(title), element("main", section, table(rows, heads), class_="sheet"))
 

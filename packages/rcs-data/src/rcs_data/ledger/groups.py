@@ -97,24 +97,24 @@ def domains_in_words(ledger: Ledger) -> str | None:
         return None
     real, simulated = ([pair[i] for pair in pairs] for i in (0, 1))
     correlation = pearson(real, simulated)
-    told = "none, as one of the two does not vary" if correlation is None else f"{correlation:.2f}"
+    text = "none, as one of the two does not vary" if correlation is None else f"{correlation:.2f}"
     violation = mean_maximum_rank_violation(real, simulated)
     return (
-        f"Simulation and reality, {len(pairs)} agents with rates in both: Pearson's correlation {told}, mean maximum "
+        f"Simulation and reality, {len(pairs)} agents with rates in both: Pearson's correlation {text}, mean maximum "
         f"rank violation {violation:.2f}."
     )
 
 
 def _series(values: Mapping[str, Any], names: Sequence[str], tags: Sequence[str]) -> str:
     """Return the name of a series: plain values of keys and tags, others with their paths."""
-    told: list[str] = []
+    words: list[str] = []
     for name in names:
         text = "none" if values.get(name) is None else str(values[name])
         if name not in (*KEYS, *tags):
-            told.append(f"{name} {text[:_DIGITS] if len(text) == _SHA256 else text}")
+            words.append(f"{name} {text[:_DIGITS] if len(text) == _SHA256 else text}")
         elif values.get(name) is not None:
-            told.append(f"{text} {name}" if name == STEPS else text)
-    return ", ".join(told)
+            words.append(f"{text} {name}" if name == STEPS else text)
+    return ", ".join(words)
 
 
 def _values(condition: Condition) -> dict[str, Any]:

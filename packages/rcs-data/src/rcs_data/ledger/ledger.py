@@ -173,7 +173,7 @@ class Ledger(Closing):
         return condition.hash
 
     def blind(self) -> list[tuple[Condition, Condition]]:
-        """Return the conditions of blind comparisons that are not told yet, as they are named and as they are.
+        """Return the conditions of blind comparisons that are not revealed yet, as they are named and as they are.
 
         Raises:
             CorruptEpisode: A description is damaged.

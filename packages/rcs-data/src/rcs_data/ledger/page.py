@@ -119,7 +119,7 @@ def _section(ledger: Ledger, hash_: str, condition: Condition, label: str) -> Ht
     filmed = [row for row in ledger.rows.values() if row.condition == hash_ and ledger.film(row).is_file()]
     films = (figure(film(f"{FILMS_FOLDER}/{row.name}.mp4"), f"seed {row.seed}: {_verdict(row)}") for row in filmed)
     failures = Counter(row.failure for row in rows if row.failure is not None)
-    told = ", ".join(f"{name} {count}" for name, count in failures.most_common()) or "none"
+    text = ", ".join(f"{name} {count}" for name, count in failures.most_common()) or "none"
     verdicts = verdicts_of(rows)
     repeated = [row for row in ledger.rows.values() if row.condition == hash_ and row.repeat]
     other = sum(row.success != ledger.rows[row.key].success for row in repeated if row.key in ledger.rows)
@@ -127,7 +127,7 @@ def _section(ledger: Ledger, hash_: str, condition: Condition, label: str) -> Ht
     return element(
         "section",
         element("h2", label),
-        element("p", element("b", str(verdicts)), f"; {verdicts.not_judged} not judged. Failures: {told}."),
+        element("p", element("b", str(verdicts)), f"; {verdicts.not_judged} not judged. Failures: {text}."),
         None if verdicts.rate is None else _bar(verdicts),
         _stages(rows),
         element("p", f"{other} of {len(repeated)} repeated episodes ended differently.") if repeated else None,
@@ -142,8 +142,8 @@ def _stages(rows: Sequence[Row]) -> Html | None:
     counted = [row.stages for row in rows if row.stages is not None]
     if not counted:
         return None
-    told = ", ".join(f"{stage} in {sum(one >= stage for one in counted)}" for stage in range(1, max(counted) + 1))
-    return element("p", f"Stages reached, of {len(counted)} episodes that were counted: {told or 'none'}.")
+    text = ", ".join(f"{stage} in {sum(one >= stage for one in counted)}" for stage in range(1, max(counted) + 1))
+    return element("p", f"Stages reached, of {len(counted)} episodes that were counted: {text or 'none'}.")
 
 
 def _about(ledger: Ledger, hash_: str, condition: Condition) -> list[tuple[str, Any]]:
@@ -174,10 +174,10 @@ def _bar(verdicts: Verdicts) -> Html:
 def _cells(row: Row, number: int) -> tuple[object, ...]:
     failure = ": ".join(part for part in (row.failure, row.message) if part is not None)
     latency = (row.latency_p50, row.latency_p99)
-    told = ", ".join(f"{1000 * value:.1f}" for value in latency if value is not None)
+    text = ", ".join(f"{1000 * value:.1f}" for value in latency if value is not None)
     reward = "" if row.reward is None else f"{row.reward:.2f}"
     stages = "" if row.stages is None else row.stages
-    return number, row.seed, _verdict(row), failure, stages, ", ".join(row.tags), row.steps, reward, told
+    return number, row.seed, _verdict(row), failure, stages, ", ".join(row.tags), row.steps, reward, text
 
 
 def _verdict(row: Row) -> str:

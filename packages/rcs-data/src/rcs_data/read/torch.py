@@ -35,8 +35,8 @@ class TorchDataset(_Dataset):  # pyright: ignore[reportUntypedBaseClass]  where 
 
         loader = DataLoader(TorchDataset(windows), batch_size=64, shuffle=True, num_workers=4)
 
-    Images are decoded straight into the memory of the batch, since torch's own `default_collate` is told how to make a
-    batch of these windows. `Subset` and `random_split` accept this dataset too; through `ConcatDataset`, windows are
+    Images are decoded straight into the memory of the batch, since torch's own `default_collate` is given a way to make
+    a batch of these windows. `Subset` and `random_split` accept this dataset too; through `ConcatDataset`, windows are
     read one by one, which is slower.
     """
 

@@ -261,13 +261,13 @@ def _refuse_strangers(root: Path) -> None:
 def _refuse_other_info(root: Path, stored: DatasetInfo, info: DatasetInfo, resume: bool) -> None:
     lines = differences(stored, info)
     if lines:
-        told = [
+        words = [
             *lines[:MOST_DIFFERENCES],
             *([f"and {more} more."] if (more := len(lines) - MOST_DIFFERENCES) > 0 else []),
         ]
         raise DatasetError(
             f"The dataset in {root} was made with another setup; choose another folder. Differences:\n  "
-            + "\n  ".join(told)
+            + "\n  ".join(words)
         )
     if not resume:
         raise DatasetError(f"There already is a dataset in {root}. Resume it (resume=True), or choose another folder.")

@@ -1,4 +1,4 @@
-"""Charts of numbers over steps, as SVG in a page; with `CHARTS_SCRIPT` they tell the numbers under the pointer."""
+"""Charts of numbers over steps, as SVG in a page; with `CHARTS_SCRIPT` they show the numbers under the pointer."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def ticks(low: float, high: float, wanted: int = 4) -> list[float]:
 
 
 def labels(values: Sequence[float]) -> list[str]:
-    """Return numbers as `short` does, with as many digits as tell each from the next."""
+    """Return numbers as `short` does, with as many digits as distinguish each from the next."""
     found: list[str] = []
     for digits in range(3, 18):
         found = [short(value, digits) for value in values]

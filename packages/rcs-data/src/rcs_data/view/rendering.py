@@ -136,7 +136,7 @@ def episode_file(folder: Path, record: EpisodeRecord) -> Path:
 
 
 def clip_name(feature: Feature) -> str:
-    """Return the name of a feature's clips: words that need no escaping, and a few digits that tell twins apart."""
+    """Return the name of a feature's clips: words that need no escaping, and a few digits that distinguish twins."""
     words = feature.key.removeprefix("observation/").removeprefix("frames/")
     digits = hashlib.sha256(feature.key.encode()).hexdigest()[:4]
     return f"{re.sub(r'[^A-Za-z0-9]+', '-', words)[:60]}-{digits}.mp4"

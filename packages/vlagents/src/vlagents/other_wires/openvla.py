@@ -111,7 +111,7 @@ class OpenvlaClient(RemotePolicy):
 
 
 class OpenvlaServer(WireServer):
-    """Answers OpenVLA's clients with a policy. HTTP has no connection to tell robots apart: there is one session.
+    """Answers OpenVLA's clients with a policy. HTTP has no connection to distinguish robots: there is one session.
 
     The image of a request is the first one of the policy's metadata, or `image`.
     """
