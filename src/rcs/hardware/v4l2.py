@@ -1,4 +1,4 @@
-"""Modes and controls of a camera of Linux (V4L2), read and set by the kernel's own calls.
+"""Modes and controls that a camera of Linux (V4L2) offers, and how they are set, by the kernel's own calls.
 
 Numbers and layouts are those of `linux/videodev2.h` and `linux/v4l2-controls.h`.
 """
