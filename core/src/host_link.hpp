@@ -53,7 +53,7 @@ class HostLink {
   HostMemory* const memory_;
   std::uint32_t asked_ = 0;
   std::atomic<std::uint32_t> closing_ = 0;  // number of the call that closes the device
-  std::atomic<std::uint32_t> seen_ = 0;  // changes of the host's fault that the device was told of
+  std::atomic<std::uint32_t> seen_ = 0;     // changes of the host's fault that the device was told of
   std::atomic<bool> is_recovering_;
   std::atomic<std::uint32_t> late_ = 0;  // the newest command whose end nobody has waited for
   std::atomic<std::uint32_t> told_ = 0;  // the newest refusal that somebody knows of

@@ -305,8 +305,8 @@ def _within(limits: ArmLimits, motors: Mapping[str, MotorCalibration] | None) ->
     return ArmLimits(
         [max(one, -half) for one, half in zip(limits.joint_lower, halves, strict=True)],
         [min(one, half) for one, half in zip(limits.joint_upper, halves, strict=True)],
-        limits.joint_velocity,
-        joint_acceleration=limits.joint_acceleration,
-        joint_jerk=limits.joint_jerk,
-        joint_effort=limits.joint_effort,
+        list(limits.joint_velocity),
+        joint_acceleration=list(limits.joint_acceleration),
+        joint_jerk=list(limits.joint_jerk),
+        joint_effort=list(limits.joint_effort),
     )
