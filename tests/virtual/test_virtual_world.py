@@ -154,6 +154,18 @@ def test_a_frozen_controller_answers_nothing_until_it_goes_on():
         assert ask(world) == "3"  # what came meanwhile waited
 
 
+def test_an_arm_that_follows_torques_brakes_while_its_controller_is_frozen():
+    with world_of("fr3") as world:
+        robot = world.robots["fr3"]
+        world.wires["fr3"].pushes = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+        wait_until(lambda: robot.velocities[6] > 0.3)
+        tell(world.name, ("freeze", "5"))
+        begin = robot.joints
+        wait_until(lambda: np.abs(robot.velocities).max() < 1e-3, 2.0)
+        time.sleep(0.3)
+        assert np.abs(robot.joints - begin).max() < 0.2
+
+
 @pytest.mark.parametrize(("fault", "lost"), [(("lose", "2"), 2), (("cut",), 4)])
 def test_a_lost_packet_never_comes(fault, lost):
     with world_of() as world:

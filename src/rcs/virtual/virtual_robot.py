@@ -252,6 +252,8 @@ class VirtualRobot:
 
     def settle(self) -> None:
         """Write the controls of the next tick."""
+        if self._is_pushed and self.is_frozen:
+            self.brake()  # as drives do that receive no torques any more
         if self._is_braking:
             self._slow_down()
         elif not self._is_led:  # no new command: keep the reference, without its velocity
