@@ -155,7 +155,7 @@ class Setup(Record):
     episode as `fault`. Turn it off for learning by trial and error."""
     compliance: Compliance | None = None
     """Arms that give way to a push, as springs and dampers of their joints or of the TCP, such as
-    `Compliance(tcp=(500, 30))`; None for stiff ones. Of real arms, those of the driver `franka` have it."""
+    `Compliance(tcp=(500, 30))`; None for stiff ones. For real arms, those of the driver `franka` have it."""
     control: Control = "joints"
     """An arm's action: joint positions; the TCP pose with a quaternion or with roll, pitch, yaw; or a twist, the TCP's
     linear [m/s] and angular velocity [rad/s]."""
@@ -185,7 +185,7 @@ class Setup(Record):
     max_episode_steps: Whole | None = 300
     """An episode is truncated after this many steps; None for no limit."""
     physics_step: Annotated[float, Meta(gt=0, le=0.01)] = 0.002
-    """Time step of the physics [s]; longer is faster and grasps slip."""
+    """Time step of the physics [s]; longer is faster, and contacts sink in and swing more."""
     randomisation: Randomisation | None = converted(converter=_ranges, default=None)
     """Domain randomisation of episodes: ranges, or the name of a preset; None for none, True for `default`."""
 
