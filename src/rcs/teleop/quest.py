@@ -19,6 +19,7 @@ from rcs.teleop.device import POLL, InputDevice, Reading
 from rcs.teleop.headset_messages import FrameMessage, hand_of
 from rcs.teleop.headset_server import HeadsetServer
 from rcs.teleop.opened import Opened
+from rcs.worker import Worker
 
 PORT = 8443
 PICTURES = 15.0
@@ -108,41 +109,36 @@ class Feedback:
             server: Sends them.
         """
         self._server = server
-        self._newest: tuple[Observation, Mapping[str, Any]] | None = None
-        self._has_news, self._must_end = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name="rcs headset pictures", daemon=True)
-        self._thread.start()
+        self._has_ended = threading.Event()
+        self._worker: Worker[tuple[Observation, Mapping[str, Any]]] = Worker("rcs headset pictures", self._send)
 
     def offer(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Have the newest pictures and states sent."""
-        self._newest = observation, info
-        self._has_news.set()
+        with self._worker.changed:
+            self._worker.waiting.clear()
+            self._worker.put((observation, info))
 
     def must_end(self) -> None:
         """Send no more."""
-        self._must_end.set()
-        self._has_news.set()
+        self._has_ended.set()
 
     def close(self) -> None:
         """Wait for the thread, which may still be sending."""
         self.must_end()
-        self._thread.join(PATIENCE)
+        self._worker.close(PATIENCE)
 
-    def _run(self) -> None:
-        while True:
-            self._has_news.wait()
-            self._has_news.clear()
-            if self._must_end.is_set() or self._newest is None:
-                return
-            observation, info = self._newest
-            self._server.send(json.dumps({"states": dict(info.get("operator", {}))}))
-            for name, frame in observation.get(FRAMES, {}).items():
-                if RGB in frame:
-                    rgb = np.ascontiguousarray(frame[RGB])
-                    label = name.encode()[:255]
-                    picture = simplejpeg.encode_jpeg(rgb, quality=QUALITY, colorspace="RGB")
-                    self._server.send(bytes([len(label)]) + label + picture)
-            self._must_end.wait(1 / PICTURES)
+    def _send(self, newest: tuple[Observation, Mapping[str, Any]]) -> None:
+        if self._has_ended.is_set():
+            return
+        observation, info = newest
+        self._server.send(json.dumps({"states": dict(info.get("operator", {}))}))
+        for name, frame in observation.get(FRAMES, {}).items():
+            if RGB in frame:
+                rgb = np.ascontiguousarray(frame[RGB])
+                label = name.encode()[:255]
+                picture = simplejpeg.encode_jpeg(rgb, quality=QUALITY, colorspace="RGB")
+                self._server.send(bytes([len(label)]) + label + picture)
+        self._has_ended.wait(1 / PICTURES)
 
 
 def reading_of(frame: FrameMessage, at: float, counts: Mapping[str, int]) -> Reading:
