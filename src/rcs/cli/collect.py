@@ -6,7 +6,7 @@ import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rcs_data.cli.console import plain_console
@@ -15,10 +15,9 @@ from rcs_data.view import write_report
 from rich.console import Console
 
 from rcs.cli.runs import PoolOptions, interruptible, results_table, show
-from rcs.cli.setup_options import SetupOptions, flags
+from rcs.cli.setup_options import SetupOptions, cameras_of, flags
 from rcs.envs.setup import Setup
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.hardware.site import Site
 from rcs.rollout.collect import Collection, Kept, Progress, collect
 from rcs.rollout.evaluation import Summary
 from rcs.rollout.placing import is_placed_by_robot
@@ -62,10 +61,7 @@ class CollectCommand(SetupOptions):
     def run(self) -> int:
         """Collect, print the results and return the exit code."""
         console = plain_console(soft_wrap=False)
-        cameras: Any = "all"
-        if self.hardware:
-            cameras = tuple(Site.read(self.hardware).cameras) if self.hardware.endswith(".json") else ()
-        setup = self.setup(cameras=cameras)
+        setup = self.setup(cameras=cameras_of(self.hardware))
         is_single = bool(self.hardware) or is_placed_by_robot(setup)
         collection = Collection(
             setup=setup,

@@ -20,6 +20,7 @@ from rcs.agents.agent import is_path
 from rcs.envs.cameras import ALL, Cameras
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
+from rcs.hardware.site import Site
 from rcs.setups.resolve import with_camera_names
 from rcs.sim.randomisation import Preset
 from rcs.sim.world import Stepping
@@ -178,6 +179,13 @@ def changed(setup: Setup, options: Mapping[str, Any]) -> Setup:
     if "task_options" in changes:
         changes["task_options"] = {**setup.task_options, **_named(changes["task_options"])}
     return replace(setup, **changes, cameras=replace(setup.cameras, **of_cameras))
+
+
+def cameras_of(hardware: str | None) -> Any:
+    """Return the cameras of a recording if none are given: all, and with real arms those of the site's file."""
+    if not hardware:
+        return ALL
+    return tuple(Site.read(hardware).cameras) if hardware.endswith(".json") else ()
 
 
 def _named(options: Any) -> Mapping[str, Any]:

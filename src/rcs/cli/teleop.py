@@ -15,12 +15,11 @@ from rcs_data.cli.console import plain_console
 from rich.console import Console
 
 from rcs.agents import Agent, agent_for
-from rcs.cli.setup_options import SetupOptions
+from rcs.cli.setup_options import SetupOptions, cameras_of
 from rcs.envs.env import Env
 from rcs.envs.observers.record import record
 from rcs.envs.observers.twin import attach_twin
 from rcs.errors import InvalidSetup
-from rcs.hardware.site import Site
 from rcs.rollout.latency import Latency
 from rcs.rollout.takes import Takes
 from rcs.rollout.teleoperate import Teleoperation
@@ -112,9 +111,7 @@ class TeleopCommand(SetupOptions):
     def _setup(self) -> Any:
         usual: dict[str, Any] = {"binary_gripper": False}
         if self.record is not None or self.measure:
-            usual["cameras"] = "all"
-            if self.hardware:
-                usual["cameras"] = tuple(Site.read(self.hardware).cameras) if self.hardware.endswith(".json") else ()
+            usual["cameras"] = cameras_of(self.hardware)
         setup = self.setup("realtime", **usual)
         return setup if "max_episode_steps" in self.given else replace(setup, max_episode_steps=None)
 
