@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Generator
 
@@ -12,7 +13,7 @@ from virtual_fr3 import ADDRESS, an_arm, virtual_fr3
 
 import rcs
 from rcs.agents import PickExpert
-from rcs.errors import DeviceFault
+from rcs.errors import DeviceFault, WrongOrder
 from rcs.hardware.franka import FrankaArm
 from rcs.hardware.franka_hand import FrankaHand
 from rcs.robots import FRANKA_HAND
@@ -72,6 +73,35 @@ def test_fingers_close_while_the_arm_moves_and_nobody_waits_for_them(arm: Franka
         hand.command_opening(0.0, 20.0)  # the same as before: the fingers are elsewhere now
         wait_until(lambda: hand.state().opening < 0.1)
         assert arm.fault == ""
+
+
+def test_homing_stands_at_a_hold_and_is_refused_in_the_fault_state(robot: VirtualProcess):
+    with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
+        hand.command_opening(1.0)
+        wait_until(hand.has_arrived)
+        errors: list[Exception] = []
+
+        def home() -> None:
+            try:
+                hand.home()
+            except WrongOrder as err:
+                errors.append(err)
+
+        homing = threading.Thread(target=home)
+        homing.start()
+        wait_until(lambda: hand.state().opening < 0.9)
+        with pytest.raises(WrongOrder, match="being homed"):
+            hand.command_opening(0.0)
+        hand.hold()
+        homing.join(5.0)
+        assert "a hold has ended the homing" in str(errors[0])
+        stands = hand.state().opening
+        time.sleep(0.3)
+        assert hand.state().opening == pytest.approx(stands, abs=0.05)
+        hand.set_fault("pressed")
+        with pytest.raises(DeviceFault, match=r"home is refused in the fault state \(pressed\)"):
+            hand.home()
+        assert hand.state().opening == pytest.approx(stands, abs=0.05)
 
 
 def test_a_hand_whose_cable_was_out_is_connected_again_by_recover(robot: VirtualProcess):

@@ -39,6 +39,11 @@ def test_kittys_protocol_says_when_keys_are_pressed_and_released() -> None:
     ]  # fmt: skip
 
 
+def test_a_key_that_was_pressed_before_control_is_released_with_it() -> None:
+    held = b"\x1b[119u\x1b[119;5:2u\x1b[119;5:3u"  # w, then Ctrl, and w is let go first
+    assert keys(held) == [("press", "w"), ("release", "w")]
+
+
 def test_bytes_may_come_in_any_pieces() -> None:
     sent = b"w\x1b[119;1:3u\x1bOA\x1b[?64;1c\x1b[0n\x1b[?11u q"
     assert keys(*(sent[at : at + 1] for at in range(len(sent)))) == keys(sent)

@@ -44,7 +44,7 @@ class FrankaHand(Gripper):
         self._news = threading.Condition()
         self._wanted: tuple[float, float] | None = None  # width [m], force [N]
         self._given: tuple[float, float] | None = None  # the command in progress, or the last one
-        self._is_busy = False
+        self._is_busy = self._is_homing = False
         self._ends = threading.Event()  # of one connection
         self._problem = ""
         self._threads: list[threading.Thread] = []
@@ -53,18 +53,27 @@ class FrankaHand(Gripper):
         """Open and close the fingers fully, so that the hand learns its range; needed once after power-on.
 
         Raises:
-            WrongOrder: The hand is not connected.
-            DeviceFault: The hand has failed to home.
+            WrongOrder: The hand is not connected, or moves; or a hold has ended its homing.
+            DeviceFault: The hand is in its fault state, or has failed to home.
         """
         self.state()
+        with self._news:
+            if self.fault:
+                raise DeviceFault(f"{self.name}: home is refused in the fault state ({self.fault}); call recover() first")
+            if self._is_busy or self._wanted is not None:
+                raise WrongOrder(f"{self.name}: home was called while the fingers move; wait until has_arrived()")
+            self._is_busy = self._is_homing = True
         try:
             self._hand.homing()
         except Exception as err:  # the library's exceptions have no common base class
+            if "aborted" in str(err):
+                raise WrongOrder(f"{self.name}: a hold has ended the homing; home it again") from err
             self.set_fault(f"homing failed: {err}")
             raise DeviceFault(f"{self.name}: {self.fault}") from err
         finally:
             with self._news:
                 self._given = None  # the fingers are elsewhere
+                self._is_busy = self._is_homing = False
 
     def _open(self) -> None:
         franky = package_of("franka", "franky", "The driver franka needs")
@@ -104,6 +113,8 @@ class FrankaHand(Gripper):
 
     def _command_opening(self, opening: float, force: float | None) -> None:
         self._state()
+        if self._is_homing:
+            raise WrongOrder(f"{self.name}: the hand is being homed; command it when `home` has returned")
         if self._state_now.max_width < SAME:
             raise WrongOrder(
                 f"{self.name}: the hand has not been homed since it was switched on; home it in Desk "

@@ -108,7 +108,7 @@ class TerminalKeys:
             self.damaged += 1
             return []
         key = ARROWS[final] if final in ARROWS else SPECIAL.get(code, chr(code).lower())
-        if held & CONTROL:
+        if held & CONTROL and kind != "release":  # what was pressed before may be released now
             return [KeyEvent("interrupt")] if key == "c" and kind == "press" else []
         return [KeyEvent(kind, key)]
 
