@@ -154,8 +154,9 @@ void bind_callback(nb::module_& m) {
       .def(nb::init<std::vector<int>, std::vector<int>, double, double>(), "joints"_a, "actuators"_a,
            "position_tolerance"_a, "velocity_tolerance"_a, "Tolerances in rad (or m) and rad/s (or m/s).");
   nb::class_<rcs::JointsAtRest, rcs::StepCallback>(m, "JointsAtRest", "True when joints have stood still for a while.")
-      .def(nb::init<std::vector<int>, double, double, int>(), "joints"_a, "velocity_tolerance"_a, "duration"_a,
-           "copies"_a, "Tolerance in rad/s (or m/s), duration in s.");
+      .def(nb::init<std::vector<int>, double, double, int, bool>(), "joints"_a, "velocity_tolerance"_a, "duration"_a,
+           "copies"_a, "within_step"_a = false,
+           "Tolerance in rad/s (or m/s), duration in s. With `within_step`, rest counts from the step's beginning.");
   nb::class_<rcs::Collision, rcs::StepCallback>(
       m, "Collision", "True when a surface of one set touches one of the other with more than a force.")
       .def(

@@ -51,8 +51,12 @@ bool JointsArrived::call(const StepView& view) {
   return true;
 }
 
-JointsAtRest::JointsAtRest(std::vector<int> joints, double velocity_tolerance, double duration, int copies)
-    : joints_(std::move(joints)), velocity_tolerance_(velocity_tolerance), duration_(duration) {
+JointsAtRest::JointsAtRest(std::vector<int> joints, double velocity_tolerance, double duration, int copies,
+                           bool within_step)
+    : joints_(std::move(joints)),
+      velocity_tolerance_(velocity_tolerance),
+      duration_(duration),
+      within_step_(within_step) {
   if (copies < 1) throw InvalidSetup("JointsAtRest: copies must be at least 1, not " + std::to_string(copies));
   since_.assign(static_cast<std::size_t>(copies), -1.0);
 }

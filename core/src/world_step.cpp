@@ -209,6 +209,8 @@ void World::step_copy(const mjModel* model, mjData* data, int copy) {
       }
       most += static_cast<std::int64_t>(std::ceil(longest / model->opt.timestep));
     }
+    if (is_synchronous)
+      for (const auto& entry : converge_) entry->begin(copy);
     while (done < most) {
       if (done % kSubstepsPerPoll == 0 && (done == 0 ? is_stopping_.load(std::memory_order_relaxed) : is_stopped())) {
         end = StepEnd::failed;

@@ -1390,8 +1390,10 @@ class JointsArrived(StepCallback):
 class JointsAtRest(StepCallback):
     """True when joints have stood still for a while."""
 
-    def __init__(self, joints: Sequence[int], velocity_tolerance: float, duration: float, copies: int) -> None:
-        """Tolerance in rad/s (or m/s), duration in s."""
+    def __init__(self, joints: Sequence[int], velocity_tolerance: float, duration: float, copies: int, within_step: bool = False) -> None:
+        """
+        Tolerance in rad/s (or m/s), duration in s. With `within_step`, rest counts from the step's beginning.
+        """
 
 class Collision(StepCallback):
     """

@@ -25,6 +25,8 @@ class StepCallback {
   virtual ~StepCallback() = default;
   /// The meaning of the result depends on how the callback was added to the world; periodic ones return anything.
   virtual bool call(const StepView& view) = 0;
+  /// A synchronous step of a copy begins, of which this may be the end.
+  virtual void begin(int /*copy*/) {}
   /// Forget what was remembered of a copy; its episode starts anew.
   virtual void reset(int /*copy*/) {}
   /// The memory of a copy, to be saved and written back with the copy's state; of the same size at all times.
@@ -53,9 +55,14 @@ class JointsArrived final : public StepCallback {
 /// True when joints have stood still for a while: a gripper that closed on an object never reaches its target.
 class JointsAtRest final : public StepCallback {
  public:
-  /// `joints` are hinge or slide joint ids, `copies` those of the world. Throws `InvalidSetup` if there are none.
-  JointsAtRest(std::vector<int> joints, double velocity_tolerance, double duration, int copies);
+  /// `joints` are hinge or slide joint ids, `copies` those of the world. With `within_step`, only rest since the
+  /// beginning of the step counts. Throws `InvalidSetup` if there are no copies.
+  JointsAtRest(std::vector<int> joints, double velocity_tolerance, double duration, int copies,
+               bool within_step = false);
   bool call(const StepView& view) override;
+  void begin(int copy) override {
+    if (within_step_) reset(copy);
+  }
   void reset(int copy) override { since_[static_cast<std::size_t>(copy)] = -1.0; }
   std::span<double> memory(int copy) override { return std::span(since_).subspan(static_cast<std::size_t>(copy), 1); }
   void check(const mjModel* model, int copies) const override;
@@ -64,6 +71,7 @@ class JointsAtRest final : public StepCallback {
   std::vector<int> joints_;
   double velocity_tolerance_;  // rad/s or m/s
   double duration_;            // s
+  bool within_step_;
   std::vector<double> since_;  // s, when the joints came to rest; negative while they move
 };
 

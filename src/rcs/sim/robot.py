@@ -261,7 +261,8 @@ class SimRobot:
         core = self.world.core
         core.converge_when(self.motion)
         if fingers := self.layout.finger_joint_ids:
-            core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME + latency, self.world.copies))
+            duration, is_late = REST_TIME + latency, latency > 0.0
+            core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, duration, self.world.copies, is_late))
 
     def set_load(self, mass: ArrayLike, center_in_flange: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Set the load that the controller carries without sagging, as libfranka's `setLoad` does.

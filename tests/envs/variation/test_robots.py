@@ -193,5 +193,6 @@ def test_a_start_that_always_collides_is_home(monkeypatch: pytest.MonkeyPatch) -
 def test_a_synchronous_step_waits_for_a_gripper_that_gets_its_action_late() -> None:
     env = make("fr3", options={"stepping": "sync"}, action_latency=(0.2, 0.2))
     env.reset(seed=0)
-    observation, *_ = env.step({"joints": np.zeros(7), "gripper": np.zeros(1, np.float32)})
-    assert observation["gripper"].item() < 0.05
+    for opening in (0.0, 1.0, 1.0, 0.0):
+        observation, *_ = env.step({"joints": np.zeros(7), "gripper": np.full(1, opening, np.float32)})
+        assert abs(observation["gripper"].item() - opening) < 0.05
