@@ -251,6 +251,10 @@ void HostLink::tell_of_late_refusal() {
   if (late == 0 || !memory_->refusal.read(refusal)) return;
   if (refusal.number == 0 || !has_come(late, refusal.number)) return;
   if (told_.exchange(refusal.number) == refusal.number || is_recovering_) return;
+  // The host holds the device, which may be on its way; nobody waits for it here, for this thread shows that we run.
+  ++memory_->stops;
+  ++memory_->hold_asked;
+  wake_all(memory_->hold_asked);
   tell(device_, "a command was refused late: " + refusal.text.get());
 }
 

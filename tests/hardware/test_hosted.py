@@ -253,6 +253,21 @@ def test_a_command_that_is_refused_late_is_a_fault_whatever_is_asked_next(tmp_pa
             arm.recover()
 
 
+def test_a_command_that_is_refused_late_holds_an_arm_on_its_way(tmp_path: Path) -> None:
+    with unruly_arm(tmp_path) as arm:
+        arm.command_joints(FAR)
+        wait_for(lambda: np.abs(arm.state().joints - HOME).max() > 0.01)
+        drop(tmp_path, "command", "refuse late")
+        arm.command_joints(FAR)
+        wait_for(lambda: arm.fault)
+        wait_for(lambda: holds(tmp_path))
+        time.sleep(0.1)
+        stands = np.array(arm.state().joints)
+        assert np.abs(stands - FAR).max() > 0.01
+        time.sleep(0.1)
+        np.testing.assert_allclose(arm.state().joints, stands, atol=1e-9)
+
+
 def test_commands_that_are_refused_late_are_a_fault_while_others_follow(tmp_path: Path) -> None:
     with unruly_arm(tmp_path) as arm:
         with pytest.raises((DeviceFault, InvalidAction), match="2 rad away"):  # noqa: PT012
