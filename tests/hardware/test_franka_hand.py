@@ -77,7 +77,7 @@ def test_fingers_close_while_the_arm_moves_and_nobody_waits_for_them(arm: Franka
 
 def test_homing_stands_at_a_hold_and_is_refused_in_the_fault_state(robot: VirtualProcess):
     with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
-        hand.command_opening(1.0)
+        hand.command_opening(0.0)
         wait_until(hand.has_arrived)
         errors: list[Exception] = []
 
@@ -89,13 +89,15 @@ def test_homing_stands_at_a_hold_and_is_refused_in_the_fault_state(robot: Virtua
 
         homing = threading.Thread(target=home)
         homing.start()
-        wait_until(lambda: hand.state().opening < 0.9)
+        wait_until(lambda: hand.state().opening > 0.1)
         with pytest.raises(WrongOrder, match="being homed"):
             hand.command_opening(0.0)
         hand.hold()
         homing.join(5.0)
         assert "a hold has ended the homing" in str(errors[0])
+        time.sleep(0.3)
         stands = hand.state().opening
+        assert stands < 0.9
         time.sleep(0.3)
         assert hand.state().opening == pytest.approx(stands, abs=0.05)
         hand.set_fault("pressed")

@@ -59,7 +59,9 @@ class FrankaHand(Gripper):
         self.state()
         with self._news:
             if self.fault:
-                raise DeviceFault(f"{self.name}: home is refused in the fault state ({self.fault}); call recover() first")
+                raise DeviceFault(
+                    f"{self.name}: home is refused in the fault state ({self.fault}); call recover() first"
+                )
             if self._is_busy or self._wanted is not None:
                 raise WrongOrder(f"{self.name}: home was called while the fingers move; wait until has_arrived()")
             self._is_busy = self._is_homing = True
