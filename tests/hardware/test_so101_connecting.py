@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -108,6 +109,38 @@ def test_servos_that_were_calibrated_for_less_than_the_limits_are_not_enabled(vi
             time.sleep(0.01)
         assert "elbow_flex was calibrated for" in arm.fault and "option `calibration`" in arm.fault
     assert events(tmp_path / "log", "torque") == []
+
+
+def test_a_leader_may_have_been_calibrated_for_less_than_the_limits(virtual):
+    entry = virtual.site.arms["so101"]
+    about = replace(SO101, joint_upper=(*SO101.joint_upper[:2], SO101.joint_upper[2] + 0.2, *SO101.joint_upper[3:]))
+    with So101Driver().arm(entry.address, about, {"timeout": PATIENT}) as arm:
+        arm.guide(True)
+        time.sleep(0.1)
+        arm.guide(False)
+        time.sleep(0.1)
+        assert arm.fault == ""
+        arm.guide(True)
+
+
+def test_a_gripper_that_lost_its_supply_is_switched_on_by_the_first_command_after_recover(virtual, tmp_path):
+    entry = virtual.site.arms["so101"]
+    driver = So101Driver()
+    with driver.gripper(entry.address, SO101_GRIPPER, {"timeout": PATIENT}) as gripper:
+        gripper.command_opening(0.9)
+        virtual.tell("cut")
+        limit = time.monotonic() + 5.0
+        while not gripper.fault:
+            with contextlib.suppress(DeviceFault):
+                gripper.state()
+            assert time.monotonic() < limit
+        virtual.tell("clear")
+        with gripper.link as servos:
+            servos.reconnect()
+            servos.release([6])  # as at the loss of its supply
+        gripper.recover()
+        gripper.command_opening(0.9)
+    assert [event["on"] for event in events(tmp_path / "log", "torque")] == [True, False, True, False]
 
 
 def test_every_device_checks_the_calibration_that_it_was_given(virtual, tmp_path):

@@ -98,7 +98,7 @@ class So101Arm(StreamedArm):
         self.link = link
         self._options = options
         self._calibration = options.motors()
-        self._is_powered = self._is_led = False
+        self._is_powered = self._is_led = self._is_given_way = False
         self._trouble = ""
 
     def _open(self) -> None:
@@ -116,7 +116,7 @@ class So101Arm(StreamedArm):
             if not self.fault:  # otherwise they are known not to answer
                 raise
         finally:
-            self._is_powered = self._is_led = False
+            self._is_powered = self._is_led = self._is_given_way = False
             self.link.close(self)
 
     def _can_guide(self) -> bool:
@@ -126,6 +126,7 @@ class So101Arm(StreamedArm):
         with self.link as servos:
             servos.release(ARM)
         self._is_powered = self._is_led = False
+        self._is_given_way = True
 
     def _read(self) -> ArmState:
         with self.link as servos:
@@ -140,14 +141,16 @@ class So101Arm(StreamedArm):
 
     def _start(self) -> None:
         with self.link as servos:
-            self._require_range(servos)
+            if not self._is_given_way:  # a leader is only held
+                self._require_range(servos)
+            self._is_given_way = False
             servos.tune(ARM)
             self._is_powered = True  # whichever servos are on when one does not answer are released at the end
             servos.power(ARM)
         self._is_led = True
 
     def _require_range(self, servos: Servos) -> None:
-        """Check that the servos can go wherever the limits allow: the range in a servo is known only now.
+        """Check that the servos can go wherever the limits allow; their own calibration is known only when they answer.
 
         Raises:
             DeviceFault: The calibrated range of a joint is shorter.
@@ -259,6 +262,7 @@ class So101Gripper(Gripper):
             over = servos.end_overload([GRIPPER])
             if self._is_powered:
                 servos.power(over)
+            self._is_powered = self._is_powered and servos.is_on(GRIPPER)  # it is off after a loss of its supply
             if faults := servos.read().faults([GRIPPER]):
                 raise DeviceFault(faults)
 

@@ -239,6 +239,11 @@ class Servos:
             self.put(servo, GOAL, _goal(positions[servo]))
             self.put(servo, TORQUE_ON, 1)
 
+    def is_on(self, servo: int) -> bool:
+        """Return whether a servo's motor is switched on."""
+        _, values = self.bus.read([servo], *TORQUE_ON)[servo]
+        return bool(values[0])
+
     def end_overload(self, servos: Sequence[int]) -> list[int]:
         """Switch off servos in overload, which clears it, and return them."""
         errors = self.read().errors

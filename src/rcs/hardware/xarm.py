@@ -263,6 +263,7 @@ class XarmArm(StreamedArm):
 
     def _stop(self) -> None:
         self._is_led = self._is_given_way = False
+        self._sent = None
         if not self._is_silent:  # otherwise the arm stands at the last setpoint
             self._ask(lambda: self._api.set_state(_STOPPED))
 
@@ -271,6 +272,7 @@ class XarmArm(StreamedArm):
 
     def _guide(self) -> None:
         self._is_led = False
+        self._sent = None
         self._enter(_MANUAL)
         self._is_given_way = True
 
@@ -293,6 +295,7 @@ class XarmArm(StreamedArm):
 
     def _let_go(self) -> None:
         self._is_led = self._is_given_way = False
+        self._sent = None
         if self._api is not None:
             self._api.disconnect()
         self._api = None
