@@ -108,13 +108,14 @@ def test_a_damaged_old_checkpoint_is_in_nobodys_way(small: Any, whole: Any, weig
     assert same(weights(out), weights(whole(small, "ppo")))
 
 
-def test_where_all_checkpoints_are_damaged_nothing_is_removed(small: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("damage", [lambda path: path.write_bytes(b"nothing"), lambda path: path.unlink()])
+def test_where_all_checkpoints_are_damaged_nothing_is_removed(small: Any, tmp_path: Path, damage: Any) -> None:
     out = tmp_path / "run"
     small.run(small.training(), out, updates=20)
     before = sorted((out / "checkpoints").iterdir())
     for place in before:
         if (place / "learner.pt").exists():
-            (place / "learner.pt").write_bytes(b"nothing")
+            damage(place / "learner.pt")
     with pytest.raises(CorruptCheckpoint, match=r"No checkpoint of .* is left to continue from"):
         small.run(small.training(), out)
     assert sorted((out / "checkpoints").iterdir()) == before

@@ -40,13 +40,23 @@ def make_policy(algorithm: Algorithm, flat: Flat) -> Any:
 def mean_action(policy: Any) -> Callable[[Any], Any]:
     """Return the function from observations to a policy's mean actions, both as tensors with a leading axis.
 
-    It acts without exploration, and without the distributions that the policy's own methods make on the way.
+    It acts without exploration, and without the distributions that the policy's own methods make on the way. The
+    tensors are on the CPU, wherever the policy is.
     """
     if not hasattr(policy, "action_net"):
         return policy  # a student, which is that function
-    return lambda observation: policy.action_net(
-        policy.mlp_extractor.forward_actor(policy.extract_features(observation, policy.pi_features_extractor))
-    )
+
+    def act(observation: Any) -> Any:
+        device = policy.device
+        there = (
+            {name: one.to(device) for name, one in observation.items()}
+            if isinstance(observation, dict)
+            else observation.to(device)
+        )
+        features = policy.extract_features(there, policy.pi_features_extractor)
+        return policy.action_net(policy.mlp_extractor.forward_actor(features)).cpu()
+
+    return act
 
 
 def network_options(algorithm: Ppo, *, has_images: bool) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from rcs.errors import CorruptCheckpoint, DatasetError, InvalidSetup
 from rcs.extras import package_of
 from rcs.rl.checkpoint import (
     CHECKPOINTS,
+    LEARNER,
     REPLAY,
     VIDEOS,
     Checkpoint,
@@ -130,6 +131,8 @@ def require_trainable(training: Training) -> None:
         raise InvalidSetup(
             f"device is {training.device!r}, on which torch cannot compute here; valid is {here}."
         ) from err
+    if isinstance(training.algorithm, Dagger) and training.device != "cpu":
+        raise InvalidSetup(f"device is {training.device!r}, and dagger trains on the CPU; leave device out.")
 
 
 @contextmanager
@@ -245,6 +248,7 @@ class _Run:
             try:
                 checkpoint = open_checkpoint(place)
                 if not checkpoint.can_be_resumed:
+                    damage = damage or f"{place} has no {LEARNER}."
                     continue
                 saved = checkpoint.policy(), checkpoint.learner(), checkpoint.replay()
             except CorruptCheckpoint as err:
