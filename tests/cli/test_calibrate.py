@@ -27,6 +27,14 @@ def test_a_board_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "tag 50 mm, gap 12.5 mm" in capsys.readouterr().out
 
 
+def test_the_name_of_a_board_may_have_a_dot_and_is_needed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for size in ("79.6", "79.8"):
+        assert run("board", "--tag-size-mm", size, "--out", str(tmp_path / f"board-{size}")) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["board-79.6.pdf", "board-79.8.pdf"]
+    assert run("board", "--out", ".") == 1
+    assert "out is '.'; valid is the path of a file" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_camera_is_found_and_checked_and_a_camera_that_moved_is_noticed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -40,6 +48,8 @@ def test_a_camera_is_found_and_checked_and_a_camera_that_moved_is_noticed(
     assert content["boards"]["side"]["on_gripper_of"] == "fr3"
     check = ["check", "--camera", "side", "--views", "3", "--calibration", str(file)]
     assert run(*check) == 0
+    assert run(*check, "--tag-size-mm", "41") == 1
+    assert "leave the options of a board out" in capsys.readouterr().err
     content["cameras"]["side"]["optical"]["translation"][0] += 0.01
     file.write_text(json.dumps(content))
     assert run(*check) == 1
@@ -55,6 +65,19 @@ def test_intrinsics_come_from_the_robots_own_pictures_and_the_cameras_place_stay
     about = json.loads(file.read_text())["cameras"]["wrist"]
     assert about["intrinsics"]["fx"] == pytest.approx(433.0, rel=5e-3)
     assert about["optical"]["translation"] == place["translation"]
+
+
+@pytest.mark.slow
+def test_a_lens_that_the_file_knows_stays_as_it_is_when_the_camera_is_found(tmp_path: Path) -> None:
+    file = tmp_path / "lab.json"
+    lens = {"width": 848, "height": 480, "fx": 433.0, "fy": 433.0, "cx": 423.5, "cy": 239.5, "distortion": [0.0] * 5}
+    file.write_text(json.dumps({"cameras": {"wrist": {"intrinsics": lens}}}))
+    run("hand-eye", "--camera", "wrist", "--views", "8", "--accept", "--out", str(file))
+    about = json.loads(file.read_text())["cameras"]["wrist"]
+    assert "optical" in about
+    assert {name: about["intrinsics"][name] for name in ("width", "height", "fx", "cy")} == {
+        name: lens[name] for name in ("width", "height", "fx", "cy")
+    }
 
 
 def test_pictures_of_two_sizes_and_none_at_all_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,6 +9,7 @@ from rcs_data.cli.console import plain_console
 
 from rcs.calibration import Board
 from rcs.calibration.printing import sheet_of, text_of, to_pdf
+from rcs.errors import InvalidSetup
 
 
 @dataclass(kw_only=True)
@@ -47,11 +48,13 @@ class BoardCommand(BoardOptions):
 
     def run(self) -> int:
         """Draw it and print where it is."""
+        if not self.out.name:
+            raise InvalidSetup(f"out is {str(self.out)!r}; valid is the path of a file, such as board.pdf.")
         board = self.board
         sheet, _ = sheet_of(board)
         self.out.parent.mkdir(parents=True, exist_ok=True)
         console = plain_console()
-        path = self.out.with_suffix(".pdf")
+        path = self.out if self.out.suffix.lower() == ".pdf" else self.out.with_name(f"{self.out.name}.pdf")
         path.write_bytes(to_pdf(board))
         console.print(f"{path}: on a sheet of {sheet}")
         for line in text_of(board):

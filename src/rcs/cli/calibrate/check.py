@@ -8,6 +8,7 @@ from pathlib import Path
 from rcs_data.cli.console import plain_console
 
 from rcs.calibration import BoardStrategy, verify
+from rcs.cli.calibrate.board import BoardOptions
 from rcs.cli.calibrate.session import SessionOptions
 from rcs.errors import InvalidSetup
 from rcs.setups.calibration import read_calibration
@@ -39,6 +40,10 @@ class CheckCommand(SessionOptions):
                 f"--camera {self.camera}` writes one."
             )
         known = boards[self.camera]
+        if self.tags != BoardOptions():
+            raise InvalidSetup(
+                f"{self.calibration} says which board it is ({known.board}); leave the options of a board out."
+            )
         setup = self.setup(at=known)
         with self.session(setup) as (_, own_lens, look):
             said = MountedCamera.of(self.setup(at=known, calibration=str(self.calibration)), self.camera)

@@ -10,7 +10,6 @@ from rcs_data.files.output import require_writable
 
 from rcs.calibration import hand_eye
 from rcs.cli.calibrate.session import SessionOptions
-from rcs.envs.setup import Setup
 from rcs.setups.calibration import read_calibration, write_calibration
 from rcs.spatial import Intrinsics
 
@@ -38,7 +37,8 @@ class HandEyeCommand(SessionOptions):
         console = plain_console()
         setup = self.setup()
         with self.session(setup) as (mounted, own_lens, look):
-            lens = self._known_lens(setup) or own_lens
+            known = self._known_lens()
+            lens = own_lens if known is None else known.cut(setup.cameras.size_of(self.camera))
             strategy = self.strategy(mounted, setup, lens)
             look(strategy)
             views = strategy.views
@@ -54,14 +54,13 @@ class HandEyeCommand(SessionOptions):
                 return 1
             write_calibration(
                 self.out,
-                {self.camera: mounted.calibration(found, lens)},
+                {self.camera: mounted.calibration(found, lens if self.intrinsics or known is None else known)},
                 {self.camera: mounted.known_board(found, strategy.board)},
             )
         console.print(f"{self.out}: camera {self.camera!r}, and the board that it looked at")
         return 0
 
-    def _known_lens(self, setup: Setup) -> Intrinsics | None:
+    def _known_lens(self) -> Intrinsics | None:
         """Return how the camera sees if the file says it already, as `rcs calibrate intrinsics` has found it."""
         known = read_calibration(self.out).cameras.get(self.camera) if self.out.exists() else None
-        seen = None if known is None else known.intrinsics
-        return None if seen is None else seen.cut(setup.cameras.size_of(self.camera))
+        return None if known is None else known.intrinsics
