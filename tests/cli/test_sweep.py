@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -90,6 +91,16 @@ def test_whole_checkpoints_are_found_and_named_by_their_run(trained: Path) -> No
     assert [steps for steps, _ in found] == [1000, 2000]
     assert [name_of(path) for _, path in found] == ["act", "act"]
     assert checkpoints_in(trained / "run") == found
+
+
+def test_checkpoints_of_a_run_that_was_copied_without_links_are_found(trained: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(trained, tmp_path / "copy")  # follows links, as scp does
+    assert not (copy / "run" / "checkpoints" / "last").is_symlink()
+    assert [steps for steps, _ in checkpoints_in(copy)] == [1000, 2000, 3000]
+    (tmp_path / "disk").mkdir()
+    (copy / "run" / "checkpoints").rename(tmp_path / "disk" / "moved")
+    (copy / "run" / "checkpoints").symlink_to(tmp_path / "disk" / "moved")
+    assert {name_of(path) for _, path in checkpoints_in(copy)} == {"copy"}
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from rcs_data import DatasetInfo, DatasetWriter, Feature
 
 from rcs.cli.train import TrainCommand
 from rcs.errors import InvalidSetup
+from rcs.rl.training import Course
 
 PYTHON = """#!/bin/sh
 echo "$@" >> {told}
@@ -78,4 +79,7 @@ def test_what_is_missing_is_said(dataset: Path, tmp_path: Path) -> None:
         TrainCommand(task="PickCuboid", dataset=dataset).run()
     with pytest.raises(InvalidSetup, match="give no task"):
         TrainCommand(task="PickCuboid", policy="act", dataset=dataset, lerobot_environment=tmp_path).run()
+    lerobot: Any = {"policy": "act", "dataset": dataset, "lerobot_environment": tmp_path}
+    with pytest.raises(InvalidSetup, match=r"learning_rate, device cannot be combined with policy.*--lerobot"):
+        TrainCommand(**lerobot, learning_rate=1e-4, course=Course(device="cuda")).run()
     assert not (tmp_path / "run").exists()

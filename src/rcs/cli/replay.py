@@ -105,6 +105,7 @@ class ReplayCommand:
         chosen = {name: getattr(self, name) for name in OPTIONS["states"]}
         chosen = {name: value for name, value in chosen.items() if value != getattr(ReplayCommand, name)}
         wrong = [*(chosen.keys() - OPTIONS[self.kind]), *(given(self.environment) if self.kind == "check" else ())]
+        wrong += ["out"] if self.kind == "check" and self.out is not None else []
         if wrong:
             names = ", ".join(f"--{name.replace('_', '-')}" for name in wrong)
             raise InvalidSetup(f"{names} has no meaning for --kind {self.kind}; see `rcs data replay --help`.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -199,15 +200,23 @@ def checkpoints_in(run: Path) -> list[tuple[int, Path]]:
     for folder in (run / CHECKPOINTS, run / "run" / CHECKPOINTS):
         if folder.is_dir():
             found = sorted((int(path.name), path) for path in folder.iterdir() if path.name.isdigit())
-            newest = int((folder / LAST).resolve().name) if (folder / LAST).exists() else None
+            newest = _steps_of(folder / LAST, found)
             ours = [(steps, path) for steps, path in found if (path / DESCRIPTION).is_file()]
             theirs = [(steps, path / WEIGHTS) for steps, path in found if newest is not None and steps <= newest]
             return ours or theirs
     return []
 
 
+def _steps_of(last: Path, found: Sequence[tuple[int, Path]]) -> int | None:
+    """Return the steps of LeRobot's newest whole checkpoint: `last` is a link to it, or a copy of it elsewhere."""
+    if not last.exists():
+        return None
+    name = last.resolve().name
+    return int(name) if name.isdigit() else max((steps for steps, _ in found), default=None)
+
+
 def name_of(checkpoint: Path) -> str:
     """Return the name of the run of a checkpoint: that of the folder above `checkpoints`, or above `run`."""
-    parts = checkpoint.resolve().parts
+    parts = checkpoint.absolute().parts
     above = [part for part in parts[: len(parts) - parts[::-1].index(CHECKPOINTS) - 1] if part != "run"]
     return above[-1]

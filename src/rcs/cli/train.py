@@ -105,6 +105,16 @@ class TrainCommand:
             )
         if self.task or self.resume is not None:
             raise InvalidSetup("With --policy, give no task or --resume; the same command goes on with a run.")
+        usual = vars(Course(seed=self.course.seed))
+        if ignored := [
+            *given(self.environment),
+            *(name for name in ("learning_rate", "copies") if getattr(self, name) is not None),
+            *(name for name, value in vars(self.course).items() if value != usual[name]),
+        ]:
+            raise InvalidSetup(
+                f"{', '.join(ignored)} cannot be combined with policy: LeRobot trains it. Its own options are given by "
+                "--lerobot, such as batch_size=64."
+            )
         steps = () if self.steps is None else (f"--steps={self.steps}",)
         return Imitation(
             policy=policy,
