@@ -32,6 +32,20 @@ def test_an_export_comes_back_with_observations_actions_and_verdicts(dataset: Pa
     assert check(tmp_path / "back").is_ok
 
 
+def test_normalised_actions_come_back_in_their_units(dataset: Path, tmp_path: Path) -> None:
+    source = Dataset.open(dataset)
+    export_robomimic(source, tmp_path / "out.hdf5", ExportOptions(normalise=True))
+    back = import_robomimic(tmp_path / "out.hdf5", tmp_path / "back")
+    for old, new in zip(source.episodes, back.episodes, strict=True):
+        np.testing.assert_allclose(new.column("action/action")[1:], action_layout(source.info).rows(old)[1:], atol=1e-6)
+    with h5py.File(tmp_path / "out.hdf5", "r+") as file:
+        file["data"].attrs["action_normalization_stats"] = json.dumps(
+            {"actions": {"offset": [[1.0]], "scale": [[2.0]]}}
+        )
+    with pytest.raises(CorruptEpisode, match="no offset and scale of"):
+        import_robomimic(tmp_path / "out.hdf5", tmp_path / "wrong")
+
+
 def test_what_was_not_exported_is_not_missed(dataset: Path, tmp_path: Path) -> None:
     source = Dataset.open(dataset)
     options = ExportOptions(cameras=(), episodes=("000002",), state=("observation/gripper",))

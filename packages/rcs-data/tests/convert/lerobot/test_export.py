@@ -294,6 +294,13 @@ def test_other_vectors_and_columns_are_taken_where_named(source: Dataset, tmp_pa
     np.testing.assert_array_equal(vectors(table, "executed.joints").astype(np.float32), vectors(table, "action"))
 
 
+def test_an_action_of_what_was_measured_before_the_step_is_refused(source: Dataset, tmp_path: Path) -> None:
+    options = ExportOptions(action=("observation/xyzrpy", "action/gripper"))
+    with pytest.raises(InvalidSetup, match=r"The action has observation/xyzrpy, measured before the step"):
+        export_lerobot(source, tmp_path / "out", options)
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_dataset_without_cameras_has_no_videos(make_dataset: Any, tmp_path: Path) -> None:
     for version in ("3.0", "2.1"):
         out = tmp_path / version

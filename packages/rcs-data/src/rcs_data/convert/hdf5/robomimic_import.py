@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from rcs_data.convert.hdf5 import arrays as hdf5
-from rcs_data.convert.hdf5.robomimic import PROVENANCE, VERDICTS
+from rcs_data.convert.hdf5.robomimic import NORMALISATION, PROVENANCE, VERDICTS
 from rcs_data.convert.observations import ACTION_DICT, camera_feature, is_done, kept_info
 from rcs_data.convert.options import ImportOptions, selected_numbers
 from rcs_data.convert.provenance import checked_provenance
@@ -143,7 +143,26 @@ def _column(demo: Any, feature: Feature, plan: _Plan, steps: int) -> StepColumn:
     last = None
     if path.startswith("obs/") and after in demo and not is_done(feature):
         last = np.asarray(hdf5.checked_array(demo, after, feature, steps)[-1], feature.numpy_dtype)
-    return StepColumn(feature=feature, values=hdf5.rows_of(values, feature), last=last)
+    rows = hdf5.rows_of(values, feature)
+    if path == "actions" and (stated := _json_attribute(demo.parent, NORMALISATION).get("actions")):
+        offset, scale = _normalisation(stated, feature.size)
+        rows = (np.asarray(row * scale + offset, feature.numpy_dtype) for row in rows)
+    return StepColumn(feature=feature, values=rows, last=last)
+
+
+def _normalisation(stated: Any, size: int) -> tuple[Any, Any]:
+    """Return offset and scale that actions were normalised by, (size,) each.
+
+    Raises:
+        CorruptEpisode: The file states something else.
+    """
+    try:
+        offset, scale = (np.ravel(np.asarray(stated[name], np.float64)) for name in ("offset", "scale"))
+    except (KeyError, TypeError, ValueError):
+        offset = scale = np.empty(0)
+    if not offset.size == scale.size == size or not np.isfinite(offset + scale).all():
+        raise CorruptEpisode(f"{NORMALISATION} has no offset and scale of {size} finite numbers for the actions.")
+    return offset, scale
 
 
 def _steps(demo: Any) -> int:

@@ -201,9 +201,15 @@ def lerobot_layout(info: DatasetInfo, episodes: Sequence[EpisodeRecord], options
 def _columns(
     info: DatasetInfo, options: ExportOptions, cameras: Sequence[str], episodes: Sequence[EpisodeRecord]
 ) -> tuple[Column, ...]:
+    action = action_layout(info, options.action)
+    if before := [feature.key for feature in action.features if not is_done(feature)]:
+        raise InvalidSetup(
+            f"The action has {', '.join(before)}, measured before the step, so it would say nothing about it; valid "
+            "are features of steps, such as those of action/ and executed/."
+        )
     columns = [
         Column(name=STATE, dtype="float32", parts=state_layout(info, options.state)),
-        Column(name=ACTION, dtype="float32", parts=action_layout(info, options.action)),
+        Column(name=ACTION, dtype="float32", parts=action),
     ]
     singles = {
         "reward": (REWARD, "float32"), "terminated": (TERMINATED, "bool"), "truncated": (TRUNCATED, "bool")
