@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from rcs_data import Dataset, check, edit
+from rcs_data import Dataset, Feature, check, edit
 from rcs_data.edit import Harmonise, Part, mix, parse_part
 from rcs_data.errors import DatasetError, InvalidSetup
 
@@ -119,6 +119,25 @@ def test_what_only_some_have_can_be_left_out(tmp_path: Path, real: Path, sim: Pa
     assert RGB in [feature.key for feature in dropped.info.features]
     assert dropped.info.sim_state_size == 3  # one simulation: its states stay
     assert check(dropped.path).is_ok
+
+
+def test_features_to_leave_out_that_are_not_there_are_named(tmp_path: Path, sim: Path) -> None:
+    how = Harmonise(drop=("observation/frames/wrist/dept",))
+    with pytest.raises(InvalidSetup, match="drop has observation/frames/wrist/dept, which no dataset has"):
+        mix([Part(path=sim)], tmp_path / "mix", mapping=how)
+
+
+def test_codes_with_other_words_do_not_mix(tmp_path: Path, make_dataset: MakeDataset, sim: Path) -> None:
+    from dataclasses import replace
+
+    from rcs_data import DatasetWriter
+
+    info = Dataset.open(sim).info
+    for name, words in (("a", ("policy", "person")), ("b", ("page", "agent"))):
+        note = Feature(key="notes/actor", shape=(), dtype="uint8", words=words)
+        DatasetWriter.open(tmp_path / name, replace(info, features=(*info.features, note))).close()
+    with pytest.raises(DatasetError, match=r"(?s)notes/actor: a has .*policy.*b has .*page"):
+        mix([Part(path=tmp_path / "a"), Part(path=tmp_path / "b")], tmp_path / "mix")
 
 
 def test_another_number_of_joints_is_refused(tmp_path: Path, make_dataset: MakeDataset, sim: Path) -> None:

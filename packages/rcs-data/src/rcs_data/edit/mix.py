@@ -165,6 +165,15 @@ def _drawn(dataset: Dataset, number: int, rng: np.random.Generator) -> list[Epis
 def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Harmonise) -> list[DatasetInfo]:
     """Return the info of each dataset's episodes after the mapping; only the setups differ."""
     infos: list[DatasetInfo] = []
+    known = [
+        feature.key
+        for name, dataset in zip(names, datasets, strict=True)
+        for feature in renamed(dataset.info, how.rename.get(name, {})).features
+    ]
+    if unknown := [key for key in how.drop if not any(one == key or one.startswith(f"{key}/") for one in known)]:
+        raise InvalidSetup(
+            f"drop has {', '.join(unknown)}, which no dataset has; they have {', '.join(dict.fromkeys(known))}."
+        )
     for name, dataset in zip(names, datasets, strict=True):
         info = renamed(dataset.info, how.rename.get(name, {}))
         kept = [f for f in info.features if not any(f.key == key or f.key.startswith(f"{key}/") for key in how.drop)]

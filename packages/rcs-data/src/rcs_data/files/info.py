@@ -239,7 +239,8 @@ def _comparable(info: DatasetInfo) -> dict[str, Any]:
 
 def _form(feature: Mapping[str, Any]) -> str:
     unit = f" [{feature['unit']}]" if feature["unit"] else ""
-    return f"{tuple(feature['shape'])} {feature['dtype']}{unit} {feature['encoding']}"
+    words = f" {tuple(feature['words'])}" if feature.get("words") else ""
+    return f"{tuple(feature['shape'])} {feature['dtype']}{unit} {feature['encoding']}{words}"
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
