@@ -20,6 +20,10 @@ def test_episodes_come_sorted_with_their_facts(dataset: Path) -> None:
     assert [episode.length for episode in found.episodes] == [6, 7, 8]
     assert found["000001"].outcome == {"failure": "slip"}
     assert len(found) == 3
+    assert found[np.int64(1)].id == found[-2].id == "000001"
+    assert [episode.id for episode in found[1:]] == ["000001", "000002"]
+    with pytest.raises(InvalidSetup, match=r"no episode 1\.5"):
+        found[1.5]  # type: ignore[index]
 
 
 def test_frames_come_one_by_one(dataset: Path) -> None:

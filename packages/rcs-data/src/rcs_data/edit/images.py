@@ -21,6 +21,7 @@ from rcs_data.files.flags import camera_of
 from rcs_data.files.info import DatasetInfo
 from rcs_data.files.output import OnProgress
 from rcs_data.read.content import flat_numbers
+from rcs_data.read.scale import whole_size
 
 _SINGLE = ("time/frames/", "flags/frames/")
 
@@ -90,7 +91,7 @@ def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress |
         CorruptEpisode: An episode is damaged; nothing changes.
         DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
-    pixels = _pixels(size)
+    pixels = whole_size(size)
     with editing(path, "resize", {"size": list(pixels)}, new_info=lambda info: resized(info, pixels)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
@@ -105,7 +106,7 @@ def resized(info: DatasetInfo, size: tuple[int, int]) -> DatasetInfo:
     Raises:
         InvalidSetup: The size is not valid, there is no camera, or intrinsics are not (3, 3) matrices.
     """
-    width, height = _pixels(size)
+    width, height = whole_size(size)
     if min(width, height) < 1 or max(width, height) > 16384:
         raise InvalidSetup(f"size is {width} x {height}; width and height must be from 1 to 16384 pixels.")
     if not cameras_of(info):
@@ -119,13 +120,6 @@ def resized(info: DatasetInfo, size: tuple[int, int]) -> DatasetInfo:
                 "Leave it out with mix (drop)."
             )
     return after
-
-
-def _pixels(size: object) -> tuple[int, int]:
-    given = tuple(size) if isinstance(size, tuple | list | np.ndarray) else ()
-    if len(given) != 2 or not all(isinstance(n, int | np.integer) for n in given):
-        raise InvalidSetup(f"size is {size!r:.80}; it must be width and height, two whole numbers [px].")
-    return int(given[0]), int(given[1])
 
 
 def _is_frame(feature: Feature) -> bool:

@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsIndex, overload
 
 from rcs_data.errors import InvalidSetup
 from rcs_data.files.layout import episodes_folder
@@ -98,17 +98,21 @@ class Dataset:
     def __len__(self) -> int:
         return len(self.episodes)
 
-    def __getitem__(self, episode: str | int) -> EpisodeRecord:
-        """Return the episode of an id, or of a number among those sorted by id.
+    @overload
+    def __getitem__(self, episode: str | SupportsIndex) -> EpisodeRecord: ...
+    @overload
+    def __getitem__(self, episode: slice) -> tuple[EpisodeRecord, ...]: ...
+    def __getitem__(self, episode: str | SupportsIndex | slice) -> EpisodeRecord | tuple[EpisodeRecord, ...]:
+        """Return the episode of an id, or of a number among those sorted by id; or all of a slice.
 
         Raises:
             InvalidSetup: There is none of this id.
             IndexError: There is none of this number.
         """
-        if isinstance(episode, int):
+        if not isinstance(episode, str) and (isinstance(episode, slice) or hasattr(episode, "__index__")):
             return self.episodes[episode]
         try:
-            return self._by_id[episode]
+            return self._by_id[str(episode)]
         except KeyError:
             known = f"which has {len(self)} episodes"
             raise InvalidSetup(f"There is no episode {episode!r} in {self.path}, {known}.") from None

@@ -14,6 +14,22 @@ from rcs_data.errors import InvalidSetup
 _WEIGHT, _BETWEEN = 4096, 16
 
 
+def whole_size(size: object, name: str = "size") -> tuple[int, int]:
+    """Return the width and height of images [px].
+
+    Args:
+        size: The two numbers, in any sequence.
+        name: Their name, for the message.
+
+    Raises:
+        InvalidSetup: They are not two whole numbers.
+    """
+    given = tuple(size) if isinstance(size, tuple | list | np.ndarray) else ()
+    if len(given) != 2 or not all(isinstance(n, int | np.integer) for n in given):
+        raise InvalidSetup(f"{name} is {size!r:.80}; it must be width and height, two whole numbers [px].")
+    return int(given[0]), int(given[1])
+
+
 class Scaler:
     """Scales colour images from one size to another; each pixel is a mean weighted by a triangle.
 

@@ -178,6 +178,8 @@ def _layout(info: DatasetInfo, prefix: str, names: tuple[str, ...], keys: Sequen
             if "/".join(words[1:-1]) == robot and words[-1] == name
         ]  # fmt: skip
         chosen = chosen or list(parts)
+    elif isinstance(keys, str):
+        raise InvalidSetup(f"{keys!r} is one text; valid is a sequence of features, such as ({keys!r},).")
     else:
         chosen = [info.feature(key) for key in keys]
     images = [f.key for f in chosen if f.is_image]

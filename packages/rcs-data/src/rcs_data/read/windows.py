@@ -23,7 +23,7 @@ from rcs_data.files.output import OnProgress
 from rcs_data.read.cache import ByteCache
 from rcs_data.read.episode_record import EpisodeRecord
 from rcs_data.read.frame_access import INDEX_BYTES, FrameAccess
-from rcs_data.read.scale import Scaler
+from rcs_data.read.scale import Scaler, whole_size
 from rcs_data.read.statistics import RunningStatistics, Statistics, check_finite
 from rcs_data.read.trajectory import action_layout, camera_features, state_layout
 
@@ -89,7 +89,7 @@ class Windows(Sequence[Window]):
         state: Sequence[str] | None = None,
         action: Sequence[str] | None = None,
         cameras: Sequence[str] | None = None,
-        episodes: Sequence[EpisodeRecord] | None = None,
+        episodes: Sequence[EpisodeRecord | str] | None = None,
         stride: int = 1,
         image_size: tuple[int, int] | None = None,
         pad: Padding = "repeat",
@@ -105,7 +105,7 @@ class Windows(Sequence[Window]):
             action: Features that make up the action; None for the arm's part, then gripper or hand.
             cameras: Names, such as "wrist", or "wrist/depth" for the depth image; None for the colour images of all, ()
                 for none.
-            episodes: Episodes of the dataset to take, such as those that succeeded; None for all.
+            episodes: Episodes of the dataset to take, or their ids, such as those that succeeded; None for all.
             stride: Steps from one window to the next.
             image_size: Width and height to scale colour images to [px]; None for the recorded size.
             pad: "repeat" makes a window of every step; "drop" only those that need no repetition.
@@ -125,7 +125,8 @@ class Windows(Sequence[Window]):
         self.state_layout = state_layout(dataset.info, state)
         self.action_layout = action_layout(dataset.info, action)
         self.cameras = _chosen_cameras(dataset, cameras)
-        self.episodes = dataset.episodes if episodes is None else tuple(episodes)
+        chosen = dataset.episodes if episodes is None else episodes
+        self.episodes = tuple(dataset[one] if isinstance(one, str) else one for one in chosen)
         for episode in self.episodes:
             if episode.info is not dataset.info and episode.info != dataset.info:
                 raise InvalidSetup(f"Episode {episode.id!r} is not of the dataset in {dataset.path}.")
@@ -332,7 +333,7 @@ def _scalers(cameras: Mapping[str, Feature], image_size: tuple[int, int] | None)
     depth = [name for name, feature in cameras.items() if feature.encoding in ("depth", "labels")]
     if depth:
         raise InvalidSetup(f"{', '.join(depth)} cannot be scaled: depth cannot be averaged; leave image_size out.")
-    height, width = image_size[::-1]
+    width, height = whole_size(image_size, "image_size")
     return {name: Scaler((feature.shape[0], feature.shape[1]), (height, width)) for name, feature in cameras.items()}
 
 
