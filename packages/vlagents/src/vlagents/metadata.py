@@ -64,7 +64,7 @@ class Metadata(Record):
     checkpoint: str = ""
     """Folder or address of the weights, without secrets."""
     checkpoint_hash: str = ""
-    """SHA-256 of the weights' bytes."""
+    """SHA-256 of the weights' bytes, and of settings that are not beside them."""
     data_hash: str = ""
     """Hash of the data that it was trained on, where its settings name it."""
 

@@ -1,7 +1,11 @@
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 import subprocess
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from vlagents import InvalidInput
@@ -9,6 +13,7 @@ from vlagents.cli.main import main
 from vlagents.errors import MissingStack
 from vlagents.policies import catalogue
 from vlagents.policies.random import RandomPolicy
+from vlagents.policies.settings import FILE, Settings
 
 STACKLESS = {"random", "replay"}
 """Policies that need nothing but this package."""
@@ -62,3 +67,35 @@ def test_a_family_of_lerobots_is_checked_by_its_name(monkeypatch: pytest.MonkeyP
     made = catalogue.load(name, "runs/a")
     assert isinstance(made, Named)
     assert made.made == ("runs/a", family)
+
+
+def test_settings_from_elsewhere_are_part_of_the_hash_of_a_checkpoint(tmp_path: Path) -> None:
+    (tmp_path / "model.bin").write_bytes(b"weights")
+    settings = Settings(dataset="pick", options={"center_crop": True})
+    weights = catalogue.hash_of(tmp_path)
+    assert weights == hashlib.sha256(b"model.bin\0weights").hexdigest(), "ledgers know it"
+    assert catalogue.hash_of(tmp_path, Settings()) == catalogue.hash_of(tmp_path, Settings(device="cpu")) == weights
+    used = catalogue.hash_of(tmp_path, settings)
+    assert used == catalogue.hash_of(tmp_path, replace(settings, device="cpu"))
+    other = catalogue.hash_of(tmp_path, replace(settings, options={"center_crop": False}))
+    assert len({weights, used, other}) == 3
+
+
+def test_settings_in_the_folder_count_once(tmp_path: Path) -> None:
+    (tmp_path / FILE).write_text(json.dumps({"dataset": "pick", "rate": 10}))
+    own = Settings.read(tmp_path)
+    assert catalogue.hash_of(tmp_path, own) == catalogue.hash_of(tmp_path)
+    assert catalogue.hash_of(tmp_path, Settings()) != catalogue.hash_of(tmp_path), "they are not those that hold"
+
+
+def test_code_outside_of_the_folder_is_part_of_the_hash_of_a_checkpoint(tmp_path: Path) -> None:
+    folder, code = tmp_path / "model", tmp_path / "config.py"
+    folder.mkdir()
+    hashes = []
+    for text in ("CONFIG = 1", "CONFIG = 2"):
+        for file in (code, folder / "config.py"):
+            file.write_text(text)
+        hashes.append(catalogue.hash_of(folder, code=code))
+        assert catalogue.hash_of(folder, code=folder / "config.py") == catalogue.hash_of(folder)
+        (folder / "config.py").unlink()
+    assert hashes[0] != hashes[1]

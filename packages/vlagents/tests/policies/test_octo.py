@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -105,6 +106,16 @@ def test_metadata_are_those_of_the_model_and_the_settings(policy: OctoPolicy) ->
     assert [(image.name, image.height, image.width) for image in metadata.images] == [("side", 8, 8)]
     assert metadata.state == SETTINGS.state
     assert len(metadata.checkpoint_hash) == 64
+
+
+def test_other_settings_from_elsewhere_are_another_model_to_a_ledger(model: Model, tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text("{}")
+    model.dataset_statistics = {**STATISTICS, "place": STATISTICS["pick"]}
+    hashes = {
+        OctoPolicy(str(tmp_path), replace(SETTINGS, dataset=dataset)).metadata().checkpoint_hash
+        for dataset in ("pick", "place")
+    }
+    assert len(hashes) == 2
 
 
 def test_settings_that_do_not_fit_are_refused(model: Model, tmp_path: Path) -> None:

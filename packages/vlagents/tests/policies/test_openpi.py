@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import msgpack
@@ -177,6 +181,27 @@ def test_a_checkpoint_of_openpi_needs_its_stack_and_its_config() -> None:
     options = {"layout": "droid", "config": "pi0_droid"}
     with pytest.raises(MissingStack, match="vlagents recipe openpi"):
         OpenpiPolicy("checkpoints/pi0_droid", Settings(images=DROID_SETTINGS.images, options=options))
+
+
+def test_a_config_in_the_working_folder_is_part_of_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = SimpleNamespace(infer=lambda observation: {"actions": pi0_droid(observation)})
+    upstream = {
+        "openpi.policies.policy_config": {"create_trained_policy": lambda config, folder: model},
+        "openpi.training.config": {},
+    }
+    for name, names in upstream.items():
+        for package in ("openpi", name.rpartition(".")[0], name):
+            monkeypatch.setitem(sys.modules, package, ModuleType(package))
+        vars(sys.modules[name]).update(names)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "model").mkdir()
+    settings = replace(DROID_SETTINGS, options={"layout": "droid", "config": "my_config.py"})
+    hashes = []
+    for text in ("CONFIG = 1", "CONFIG = 2", "CONFIG = 1"):
+        (tmp_path / "my_config.py").write_text(text)
+        hashes.append(OpenpiPolicy("model", settings).metadata().checkpoint_hash)
+    assert hashes[0] == hashes[2] != hashes[1]
+    assert "openpi_config" in sys.modules, "it was run"
 
 
 def test_a_picture_of_another_size_is_refused_before_it_is_sent() -> None:

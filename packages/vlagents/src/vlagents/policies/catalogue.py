@@ -75,8 +75,17 @@ def load(
     return _made(name, make, [checkpoint] if checkpoint else [], settings, options)
 
 
-def hash_of(path: str | Path) -> str:
-    """Return the SHA-256 of a file, or of a folder's files by their names and contents."""
+def hash_of(path: str | Path, settings: Settings | None = None, code: Path | None = None) -> str:
+    """Return the SHA-256 of a file, or of a folder's files by their names and contents.
+
+    Args:
+        path: The file or folder.
+        settings: Settings of a policy; where they are others than those of the folder, they count, but for the device.
+        code: A file of Python that the policy is made of; it counts where it is outside of the folder.
+
+    Raises:
+        InvalidInput: The folder has settings that cannot be read.
+    """
     digest = hashlib.sha256()
     path = Path(path)
     for file in [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file()):
@@ -84,7 +93,16 @@ def hash_of(path: str | Path) -> str:
         with open(file, "rb") as opened:
             while part := opened.read(1 << 20):
                 digest.update(part)
+    if settings is not None and (used := _material(settings)) != _material(Settings.read(path)):
+        digest.update(f"settings\0{used}".encode())
+    if code is not None and not code.resolve().is_relative_to(path.resolve()):
+        digest.update(b"code\0" + code.read_bytes())
     return digest.hexdigest()
+
+
+def _material(settings: Settings) -> str:
+    """Return all settings on which actions may depend, as JSON."""
+    return json.dumps({**settings.to_dict(), "device": ""}, sort_keys=True)
 
 
 def recipes() -> list[str]:

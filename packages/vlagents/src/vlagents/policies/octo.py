@@ -97,7 +97,7 @@ class OctoPolicy(SessionPolicy[_Memory]):
             horizon=int(head.get("action_horizon", 1)),
             rate=self._settings.rate or USUAL_RATE,
             checkpoint=checkpoint,
-            checkpoint_hash="" if is_remote else hash_of(checkpoint),
+            checkpoint_hash="" if is_remote else hash_of(checkpoint, self._settings),
             data_hash=self._settings.data_hash,
         )
 

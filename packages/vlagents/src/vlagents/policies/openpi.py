@@ -143,7 +143,7 @@ class OpenpiPolicy(SessionPolicy[None]):
             needs_instruction=True,
             rate=self._layout.rate,
             checkpoint=checkpoint,
-            checkpoint_hash="" if is_address else hash_of(checkpoint),
+            checkpoint_hash="" if is_address else hash_of(checkpoint, settings, _code_of(checkpoint, settings)),
             data_hash=settings.data_hash,
         )
         super().__init__(metadata)
@@ -201,21 +201,33 @@ def _trained(checkpoint: str, settings: Settings) -> Any:
         configs = importlib.import_module("openpi.training.config")
     except ImportError as error:  # the index's openpi 0.0.0 is a placeholder
         raise MissingStack("openpi", error.name or "openpi") from error
-    made = _config_of(config, Path(checkpoint)) if config.endswith(".py") else configs.get_config(config)
+    file = _code_of(checkpoint, settings)
+    made = configs.get_config(config) if file is None else _config_of(file)
     # openpi joins paths to it, so it must be absolute.
     return policies.create_trained_policy(made, Path(checkpoint).resolve())
 
 
-def _config_of(config: str, checkpoint: Path) -> Any:
-    """Return the TrainConfig that a file of Python defines, in the checkpoint's folder or in this one.
+def _code_of(checkpoint: str, settings: Settings) -> Path | None:
+    """Return the file of Python with the config, in the checkpoint's folder or in this one; None for openpi's own.
 
     Raises:
-        InvalidInput: There is no such file, or no CONFIG in it.
+        InvalidInput: There is no such file.
     """
-    places = [place for place in (checkpoint / config, Path(config)) if place.is_file()]
-    if not places:
-        raise InvalidInput(f"The option 'config' is {config!r}; there is no such file here or in {checkpoint}.")
-    file = places[0]
+    config = settings.option("config", "")
+    if not config.endswith(".py"):
+        return None
+    for place in (Path(checkpoint) / config, Path(config)):
+        if place.is_file():
+            return place
+    raise InvalidInput(f"The option 'config' is {config!r}; there is no such file here or in {checkpoint}.")
+
+
+def _config_of(file: Path) -> Any:
+    """Return the TrainConfig that a file of Python defines.
+
+    Raises:
+        InvalidInput: There is no CONFIG in it.
+    """
     spec = importlib.util.spec_from_file_location("openpi_config", file)
     assert spec is not None
     assert spec.loader is not None

@@ -82,7 +82,7 @@ class OpenvlaPolicy(SessionPolicy[None]):
                 needs_instruction=True,
                 rate=settings.rate or USUAL_RATE,
                 checkpoint=checkpoint,
-                checkpoint_hash=hash_of(checkpoint) if Path(checkpoint).is_dir() else "",
+                checkpoint_hash=hash_of(checkpoint, settings) if Path(checkpoint).is_dir() else "",
                 data_hash=settings.data_hash,
             )
         )

@@ -99,7 +99,7 @@ class Vjepa2AcPolicy(SessionPolicy[_Memory]):
                 horizon=self._search["horizon"],
                 rate=settings.rate or USUAL_RATE,
                 checkpoint=checkpoint,
-                checkpoint_hash=hash_of(checkpoint),
+                checkpoint_hash=hash_of(checkpoint, settings),
                 data_hash=settings.data_hash,
             )
         )
