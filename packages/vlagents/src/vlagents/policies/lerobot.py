@@ -1,7 +1,8 @@
 """Checkpoints of LeRobot (huggingface/lerobot): ACT, Diffusion Policy, SmolVLA, VQ-BeT and others alike.
 
 A checkpoint is the folder `pretrained_model` that LeRobot's trainer writes, or a run's folder, whose last checkpoint is
-used. It has the shapes of the model's inputs, but not their meaning, which is in `vlagents.json`.
+used. It has the shapes of the model's inputs, but not their meaning, which is in `vlagents.json` in the folder that is
+given, or else beside the weights.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from vlagents.observation import Observation
 from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
-from vlagents.policies.settings import Settings, check_parts
+from vlagents.policies.settings import FILE, Settings, check_parts
 from vlagents.policies.torch_stack import device, import_stack
 
 STATE, ACTION, IMAGES = "observation.state", "action", "observation.images."
@@ -64,7 +65,8 @@ class LerobotPolicy(SessionPolicy[Memory]):
             InvalidInput: It is no checkpoint of that type, or the settings do not fit it.
         """
         folder = find(checkpoint)
-        settings = settings or Settings.read(folder)
+        has_own = (Path(checkpoint) / FILE).is_file()  # a run has settings beside its checkpoints
+        settings = settings or Settings.read(checkpoint if has_own else folder)
         settings.check_options(())
         packages = ("lerobot.policies.factory", "lerobot.configs.policies")
         self._torch, factory, configs = import_stack("lerobot", *packages)
