@@ -142,6 +142,45 @@ def test_a_simulator_that_is_gone_ends_the_run_and_its_episodes_are_left_to_be_r
     assert [row.success for row in Ledger(out).rows.values()] == [True] * 3
 
 
+@pytest.mark.parametrize("when", ["in an episode", "between two"])
+def test_a_simulator_that_another_program_opens_ends_the_run_and_its_episode_is_no_row(
+    when: str, tmp_path: Path, policy: ServedPolicy
+) -> None:
+    out, server = tmp_path / "ledger", served(tmp_path)
+    try:
+        env = ForeignEnv(simulator := ForeignSimulator(name=server.address))
+
+        def take(observation: Observation, instruction: str) -> np.ndarray:
+            if env.np_random_seed == evaluation.seed_of(1):
+                ForeignEnv(simulator).close()
+            return reach(observation, instruction)
+
+        with Server(ScriptedPolicy(take, METADATA), port=0) as taking:
+            agent = policy if when == "between two" else replace(policy, address=str(taking.address))
+            evaluation = Evaluation(setup=env.setup, simulator=simulator, agent=agent, episodes=3, out=out)
+            attempts = evaluate(evaluation, env=env)
+            assert next(attempts).result.success
+            if when == "between two":
+                ForeignEnv(simulator).close()
+            with pytest.raises(RcsError, match="Another program has opened the simulator tiny:near") as caught:
+                list(attempts)
+            assert not isinstance(caught.value, SimulationError)
+        assert [row.success for row in Ledger(out).rows.values()] == [True]
+        env = ForeignEnv(simulator)
+        list(evaluate(replace(evaluation, agent=policy, out=tmp_path / "again"), env=env))
+    finally:
+        server.end()
+    assert [row.success for row in Ledger(tmp_path / "again").rows.values()] == [True] * 3
+
+
+def test_a_simulator_at_an_address_has_one_process(tmp_path: Path, setup: Setup) -> None:
+    simulator = ForeignSimulator(name="vla://127.0.0.1:9")
+    for changes in ({"workers": 2}, {"ray": "auto"}, {"ray": "auto", "workers": 0}):
+        with pytest.raises(InvalidSetup, match=r"The simulator at vla:.*workers=1 and no ray, or the name"):
+            Evaluation(setup=setup, simulator=simulator, **changes)
+    assert Evaluation(setup=setup, simulator=tiny(tmp_path), workers=2).workers == 2
+
+
 def test_a_simulator_of_ones_own_that_does_not_start_again_ends_the_run(tmp_path: Path, policy: ServedPolicy) -> None:
     source = tmp_path / "tiny_simulator.py"
     source.write_text((TINY / source.name).read_text())

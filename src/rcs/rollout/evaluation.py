@@ -49,7 +49,8 @@ class Evaluation:
     until: float | None = None
     """Level, such as 0.05: end as soon as the seeds shared with `against` show which agent is better."""
     workers: int = 1
-    """Processes; one works in this process. With `ray`, 0 is one per CPU of the cluster."""
+    """Processes; one works in this process. With `ray`, 0 is one per CPU of the cluster. A simulator at an address
+    has one."""
     ray: str | None = None
     """Address of a Ray cluster for the processes: `auto` for the one that this machine is a part of, or `host:port`;
     None for this machine, without Ray."""
@@ -70,6 +71,13 @@ class Evaluation:
         if (self.until is None) != (self.against is None) or (self.against is not None and self.out is None):
             raise InvalidSetup(
                 "until, against and out belong together: a level, another agent, and the ledger with both."
+            )
+        is_alone = self.workers == 1 and self.ray is None
+        if self.simulator is not None and self.simulator.is_address and not is_alone:
+            raise InvalidSetup(
+                f"The simulator at {self.simulator.name} serves one process at a time; workers is {self.workers} and "
+                f"ray is {self.ray!r}. Use workers=1 and no ray, or the name of the simulator, which then every "
+                "process starts for itself."
             )
 
     def make(self) -> Env:

@@ -116,7 +116,8 @@ class Connection:
 
         Raises:
             SimulationError: As `call`.
-            RcsError: It does not start or cannot be reached again, or is another one now.
+            RcsError: It does not start or cannot be reached again, is another one now, or was opened by another
+                program.
         """
         if self._client is not None:
             try:
@@ -140,10 +141,18 @@ class Connection:
 
         Raises:
             SimulationError: The simulator failed in any way: it died, was late, raised an error, or sent nonsense.
+            RcsError: Another program has opened it since, which says nothing about the episode.
         """
         assert self._client is not None, "an episode has begun"
         try:
             return act(self._client)
+        except vlagents("vlagents.errors").SimulatorTaken as err:
+            self.close(must_end=True)
+            raise RcsError(
+                f"Another program has opened the simulator {self.facts.name} at {self._simulator.name} since, and it "
+                "serves one at a time, so this episode is left out. End the other, or start a simulator for each, and "
+                "run the same again to go on."
+            ) from err
         except (vlagents().VlagentsError, OSError) as err:
             self.close(must_end=True)
             raise SimulationError(f"{self.facts.name}: {type(err).__name__}: {err}") from err
@@ -289,7 +298,8 @@ class ForeignEnv(Env):
             WrongOrder: The environment is closed.
             InvalidSetup: There are options, or the seed is out of range.
             SimulationError: The simulator failed.
-            RcsError: It does not start or cannot be reached again, or is another one now.
+            RcsError: It does not start or cannot be reached again, is another one now, or was opened by another
+                program.
         """
         if options:
             raise InvalidSetup(f"The reset options are {options!r}; a simulator of another project has none.")

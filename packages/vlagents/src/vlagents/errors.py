@@ -69,6 +69,12 @@ class AddressTaken(VlagentsError, OSError):
         )
 
 
+class SimulatorTaken(InvalidInput):
+    """Another client has opened the simulator since; it serves whoever opened it last."""
+
+    kind = "taken"
+
+
 class MissingStack(VlagentsError, ImportError):
     """A package that a policy needs is not installed in this environment."""
 
@@ -102,7 +108,7 @@ def from_failure(failure: object) -> VlagentsError:
     """Return the error that a wire carried; one of an unknown kind is a `PolicyFailed`."""
     fields = failure if isinstance(failure, dict) else {}
     kind, text = fields.get("kind"), str(fields.get("text", "no reason was given"))[:10_000]
-    for known in (InvalidInput, BadMessage, ConnectionLost, DeadlineExceeded, Unauthorized):
+    for known in (InvalidInput, SimulatorTaken, BadMessage, ConnectionLost, DeadlineExceeded, Unauthorized):
         if kind == known.kind:
             return known(text)
     return PolicyFailed(text)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from vlagents import Client, InvalidInput, Observation, PolicyFailed, Server
-from vlagents.errors import MissingSimulator
+from vlagents.errors import MissingSimulator, SimulatorTaken
 from vlagents.simulators.client import SimulatorClient
 from vlagents.simulators.interface import Facts
 from vlagents.simulators.mapping import PartMap, SimulatorMapping
@@ -156,7 +156,7 @@ def test_actions_that_are_no_numbers_never_get_to_the_simulator(served: Server) 
 def test_a_simulator_serves_one_client_and_gives_no_actions(served: Server) -> None:
     with simulator(served) as first, simulator(served) as second:
         second.begin(0)
-        with pytest.raises(InvalidInput, match="Another client has opened"):
+        with pytest.raises(SimulatorTaken, match="Another client has opened"):
             first.begin(0)
     with Client(str(served.address)) as client, pytest.raises(InvalidInput, match="simulator, not a policy"):
         client.infer(Observation())

@@ -65,6 +65,7 @@ class SimulatorClient:
         Raises:
             ConnectionLost: The simulator has gone.
             DeadlineExceeded: It did not answer in time.
+            SimulatorTaken: Another client has opened it since.
             PolicyFailed: It raised an error.
             InvalidInput: It sent a number that is not finite.
         """

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from vlagents.chunk import Chunk
-from vlagents.errors import InvalidInput, MissingSimulator
+from vlagents.errors import InvalidInput, MissingSimulator, SimulatorTaken
 from vlagents.metadata import Metadata
 from vlagents.observation import Observation
 from vlagents.policy import Policy
@@ -102,7 +102,7 @@ class ServedSimulator(Policy):
 
     def _require_owner(self, values: Mapping[str, Any]) -> None:
         if values.get("opened") != self._opened:
-            raise InvalidInput("Another client has opened this simulator since; a simulator serves one at a time.")
+            raise SimulatorTaken("Another client has opened this simulator since; a simulator serves one at a time.")
 
     def _call(self, act: Callable[[], Moment]) -> Moment:
         return self._thread.submit(act).result()
