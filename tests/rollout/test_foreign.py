@@ -8,17 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rcs_data import Dataset
+from rcs_data import Dataset, DatasetWriter
 from rcs_data.ledger import Ledger
 from vlagents import Metadata, Observation, PartSpec, Server
 from vlagents.policies.scripted import ScriptedPolicy
 
+from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.record import record_all
+from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidAction, InvalidSetup, RcsError, SimulationError, WrongOrder
 from rcs.policy import Execution, ServedPolicy
 from rcs.rollout.episode import EpisodeResult, run_episode
-from rcs.rollout.evaluate import evaluate
+from rcs.rollout.evaluate import evaluate, film
 from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.foreign import ForeignEnv, ForeignSimulator
 from rcs.rollout.serving import ServerProcess
@@ -115,6 +117,25 @@ def test_a_simulator_that_fails_gives_an_episode_without_a_verdict_and_the_next_
         (None, "simulator", "nobody"),
         (True, None, "task"),
     ]
+
+
+def test_an_episode_whose_simulator_fails_in_the_reset_has_neither_recording_nor_film(
+    tmp_path: Path, policy: ServedPolicy
+) -> None:
+    bad = Evaluation(setup=Setup("tiny:near")).seed_of(0) % (1 << 31)
+    simulator = tiny(tmp_path, fault="raise", bad_seed=str(bad), at="1")  # a step of waiting is part of the reset
+    env = ForeignEnv(simulator)
+    evaluation = Evaluation(setup=env.setup, simulator=simulator, agent=policy, episodes=2, out=tmp_path / "ledger")
+    with DatasetWriter.open(tmp_path / "data", dataset_info(env)) as writer:
+        env.add_observer(recorder := Recorder(writer))
+        lost, after = [attempt.result for attempt in evaluate(evaluation, env=env, recorder=recorder)]
+    assert (lost.failure, lost.steps, after.success) == ("simulator", 0, True)
+    (recorded,) = Dataset.open(tmp_path / "data").episodes
+    assert (recorded.success, recorded.outcome["attempt"]) == (True, 1)
+    made = list(film(evaluation, 2))
+    assert [row.failure for row, _ in made] == ["simulator", None]
+    ledger = Ledger(tmp_path / "ledger")
+    assert [ledger.film(row).is_file() for row, _ in made] == [False, True]
 
 
 def test_a_simulator_that_is_gone_ends_the_run_and_its_episodes_are_left_to_be_run(

@@ -22,7 +22,7 @@ from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.envs.step.stack import for_all
 from rcs.rollout.collect import Attempt, episode_id
-from rcs.rollout.episode import Answer, EpisodeResult, Judge, run_episode
+from rcs.rollout.episode import SIMULATOR, Answer, EpisodeResult, Judge, run_episode
 from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.logbook import Logbook, condition_of, differs
 from rcs.rollout.person import PersonJudge
@@ -80,8 +80,9 @@ class Evaluator:
         draft = path.with_name(f".{path.name}")
         with self._film.into(draft):
             attempt = self._attempt(number)
-        draft.replace(path)
-        sync_folder(self._films)
+        if draft.exists():  # not where the simulator has failed before its first picture
+            draft.replace(path)
+            sync_folder(self._films)
         return attempt
 
     def _attempt(self, number: int) -> Attempt:
@@ -92,7 +93,7 @@ class Evaluator:
                 self._recorder.name_next(self._recorder.free_name(name))
             result = run_episode(self._env, self._agent, seed=self._evaluation.seed_of(number), judge=self._judge)
             if self._recorder is not None:
-                self._recorder.finish(result.success, {"attempt": number, **result.outcome()})
+                self._keep(self._recorder, number, result)
         return Attempt(
             number=number,
             result=result,
@@ -101,6 +102,13 @@ class Evaluator:
             latencies=tuple(self._agent.latencies),
             seconds=time.perf_counter() - began,
         )
+
+    def _keep(self, recorder: Recorder, number: int, result: EpisodeResult) -> None:
+        """Keep the recording of an episode, unless a simulator of another project has failed before it began."""
+        if result.failure == SIMULATOR and not recorder.is_recording:
+            recorder.forget_next()
+        else:
+            recorder.finish(result.success, {"attempt": number, **result.outcome()})
 
     def _name_of(self, number: int) -> str:
         key = key_of(self.condition, self._evaluation.seed_of(number))
