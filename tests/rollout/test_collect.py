@@ -7,7 +7,9 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,9 @@ from rcs_data.index.index import Index
 from rcs_data.record.compact import publish, seal
 
 import rcs
+from rcs.agents import Agent
+from rcs.envs import Action, Env, Observation
+from rcs.envs.observer import Note
 from rcs.errors import DatasetError, InvalidSetup, RcsError
 from rcs.rollout.collect import Collection, Progress, collect, episode_id
 from rcs.rollout.recorded_setup import setup_of
@@ -268,6 +273,51 @@ def test_a_task_without_an_expert_is_refused_before_anything_is_written(tmp_path
     with pytest.raises(InvalidSetup, match="no scripted expert"):
         run(plan(tmp_path / "none", setup=rcs.Setup(task="Free")))
     assert not (tmp_path / "none").exists()
+
+
+class Unsteady(Agent):
+    """Stays where it is, and loses the connection to its policy in the second of all episodes."""
+
+    begun = 0
+
+    def __init__(self, env: Env) -> None:
+        self._action: Any = env.action_space.sample()
+        self._action["joints"][:] = 0.0
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        Unsteady.begun += 1
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        return self._action
+
+    note_fields = (Note("begun"),)
+    failure, failure_message = "policy", "ConnectionLost: gone"
+
+    def notes(self) -> Mapping[str, Any]:
+        return {"begun": float(self.begun)}
+
+    @property
+    def is_lost(self) -> bool:
+        return self.begun == 2
+
+
+@pytest.mark.parametrize("only_success", [False, True])
+def test_an_episode_in_which_the_policy_was_lost_is_no_failure_and_the_same_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, only_success: bool
+) -> None:
+    monkeypatch.setattr(Unsteady, "begun", 0)
+    setup, out = rcs.Setup(max_episode_steps=3), tmp_path / "data"
+    collection = plan(out, setup=setup, agent=Unsteady, only_success=only_success, most_attempts=3)
+    with pytest.raises(RcsError, match=r"The policy was lost: ConnectionLost: gone\. Episode 1 is left out; .* go on"):
+        run(collection)
+    assert [episode.id for episode in Dataset.open(out)] == ([] if only_success else [episode_id(0)])
+    if only_success:
+        with pytest.raises(RcsError, match="gives up"):
+            run(collection)
+    else:
+        assert run(collection).kept == 3
+        notes = [episode.column("notes/begun")[1:].tolist() for episode in Dataset.open(out).episodes]
+        assert notes == [[1.0] * 3, [3.0] * 3, [4.0] * 3], "what an agent notes is recorded"
 
 
 def test_an_error_in_a_worker_reaches_the_caller(tmp_path: Path, dataset: Path) -> None:

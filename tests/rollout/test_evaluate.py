@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rcs_data import Dataset, DatasetWriter
 from rcs_data.ledger import Ledger, Pairs, Row
 from rcs_data.ledger.row import TIMES
 from rcs_data.read.verdicts import wilson_interval
@@ -22,6 +23,8 @@ import rcs
 from rcs.agents import Agent
 from rcs.agents.identity import identity_of
 from rcs.cli.runs import results_table
+from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup, RcsError, UnknownName, WrongOrder
 from rcs.rollout.collect import Attempt, seed_of
 from rcs.rollout.episode import EpisodeResult
@@ -288,6 +291,31 @@ def test_weights_that_change_end_the_evaluation(tmp_path: Path) -> None:
         list(evaluate(Evaluation(setup=SETUP, agent=Fickle(env), out=tmp_path), summary, env=env))
     assert [row.weights for row in Ledger(tmp_path).rows.values()] == ["old", "old"]
     assert len(summary.attempts) == 2
+
+
+class Lost(Stay):
+    """Loses the connection to its policy in its second episode."""
+
+    episodes = 0
+    failure, failure_message = "policy", "ConnectionLost: gone"
+
+    def reset(self, observation: Any, info: Any) -> None:
+        self.episodes += 1
+
+    @property
+    def is_lost(self) -> bool:
+        return self.episodes == 2
+
+
+def test_an_episode_in_which_the_policy_was_lost_has_neither_row_nor_recording(tmp_path: Path) -> None:
+    env = rcs.make(SETUP)
+    evaluation = Evaluation(setup=SETUP, agent=Lost(env), episodes=3, out=tmp_path / "ledger")
+    with DatasetWriter.open(tmp_path / "data", dataset_info(env)) as writer:
+        env.add_observer(recorder := Recorder(writer))
+        with pytest.raises(RcsError, match=r"The policy was lost: ConnectionLost: gone\. Episode 1 is left out"):
+            list(evaluate(evaluation, env=env, recorder=recorder))
+    assert len(Ledger(tmp_path / "ledger").rows) == 1
+    assert [episode.outcome["attempt"] for episode in Dataset.open(tmp_path / "data")] == [0]
 
 
 @pytest.mark.parametrize(

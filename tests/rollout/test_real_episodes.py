@@ -16,11 +16,13 @@ from rcs.agents import Agent, agent_for
 from rcs.agents.script import Script
 from rcs.devices.fakes import FakeArm
 from rcs.envs import Action, Observation
-from rcs.errors import DeviceFault, InvalidSetup, Refused
+from rcs.envs.observer import Note
+from rcs.errors import DeviceFault, InvalidSetup, RcsError, Refused
 from rcs.hardware import FakeDriver, Site
 from rcs.robots.description import ArmDescription
 from rcs.robots.fr3 import FR3
 from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.real_episodes import _Informed
 from rcs.rollout.supervisor import VirtualSupervisor, supervisor_of
 from rcs.virtual import VirtualProcess
 
@@ -45,6 +47,8 @@ class Nod(Agent):
     told: list[Mapping[str, Any]] = []
     trips_in: list[int] = []
     """Episodes, counted from 0, in which a device fails."""
+    lost_in: list[int] = []
+    """Episodes in which its policy is lost."""
 
     def __init__(self, env: rcs.envs.Env) -> None:
         pass
@@ -63,11 +67,17 @@ class Nod(Agent):
     def events(self):
         return ("stop",) if self._steps >= 8 else ()
 
+    failure_message = "ConnectionLost: gone"
+
+    @property
+    def is_lost(self) -> bool:
+        return len(self.told) - 1 in self.lost_in
+
 
 @pytest.fixture(autouse=True)
 def clean() -> None:
     made.clear()
-    Nod.told, Nod.trips_in = [], []
+    Nod.told, Nod.trips_in, Nod.lost_in = [], [], []
 
 
 @pytest.fixture
@@ -191,6 +201,28 @@ def test_an_episode_that_nobody_could_judge_does_not_count(tmp_path: Path, say) 
     say("yes", "", "y")
     progress = run(plan(tmp_path / "data", episodes=1))
     assert (progress.again, progress.kept) == (1, 1)
+
+
+def test_an_episode_in_which_the_policy_was_lost_is_left_out_and_the_same_goes_on(tmp_path: Path, say) -> None:
+    Nod.lost_in = [1]
+    say("yes", "", "y", "", "n")
+    with pytest.raises(RcsError, match=r"The policy was lost: ConnectionLost: gone\. Episode 1 is left out"):
+        run(plan(tmp_path / "data"))
+    assert [episode.success for episode in Dataset.open(tmp_path / "data")] == [True]
+    say("yes", "", "y")
+    progress = run(plan(tmp_path / "data"))
+    assert (progress.found, progress.kept) == (1, 2)
+
+
+def test_an_agent_that_knows_the_objects_says_the_same_as_the_one_inside() -> None:
+    class Gone(Nod):
+        weights, is_lost, latencies, failure, note_fields = "w", True, (0.5,), "policy", (Note("n"),)
+
+    with rcs.make(SETUP) as env:
+        inside = Gone(env)
+    informed: Agent = _Informed(inside, 1.0)
+    for name in ("rate", "weights", "is_lost", "latencies", "failure", "failure_message", "note_fields"):
+        assert getattr(informed, name) == getattr(inside, name), name
 
 
 def test_more_than_one_process_is_refused(tmp_path: Path) -> None:

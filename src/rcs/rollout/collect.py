@@ -225,11 +225,12 @@ class Collector:
         else:
             result = run_episode(self._env, self._agent, seed=seed)
             more = randomisation_of(self._env)
-        if result.success or not self._collection.only_success:
+        is_lost = self._agent.is_lost
+        if not is_lost and (result.success or not self._collection.only_success):
             self._recorder.finish(result.success, {"attempt": number, **result.outcome(), **more})
         else:
             self._recorder.discard()
-        return Attempt(number=number, result=result)
+        return Attempt(number=number, result=result, is_lost=is_lost)
 
     def close(self) -> None:
         """Close agent and environment."""
@@ -259,7 +260,8 @@ def collect(
         Refused: The supervisor does not agree that real arms go home.
         DatasetError: The dataset cannot be written, is locked, or belongs to another setup.
         InvalidSetup: The setup is not valid.
-        RcsError: Too many attempts were no success, a worker process died, or the cluster cannot be reached.
+        RcsError: Too many attempts were no success, a worker process died, the policy was lost, or the cluster cannot
+            be reached.
     """
     env = env or make(collection.setup, hardware=collection.hardware)
     try:
@@ -267,8 +269,12 @@ def collect(
             supervisor = None
         elif supervisor is None:
             supervisor = supervisor_of(collection.setup, collection.hardware)
-        agent_for(env, collection.agent).close()
-        info = dataset_info(env, colour=collection.colour, jpeg_quality=collection.jpeg_quality)
+        agent = agent_for(env, collection.agent)
+        try:
+            notes = agent.note_fields
+        finally:
+            agent.close()
+        info = dataset_info(env, colour=collection.colour, jpeg_quality=collection.jpeg_quality, notes=notes)
         # Two collections are the same only if they number and seed episodes alike.
         made = {"seed": collection.seed, "only_success": collection.only_success, "agent": collection.agent_name}
         info = replace(info, origin={**info.origin, "collection": made})
@@ -379,6 +385,16 @@ def _attempts(collection: Collection, writer: DatasetWriter, numbers: Iterator[i
 
 
 def _count(attempt: Attempt, collection: Collection, progress: Progress) -> None:
+    """Count an attempt.
+
+    Raises:
+        RcsError: The connection to the policy was lost in it.
+    """
+    if attempt.is_lost:
+        raise RcsError(
+            f"The policy was lost: {attempt.result.message}. Episode {attempt.number} is left out; start the server, "
+            "and run the same again to go on."
+        )
     progress.attempts.append(attempt)
     progress.kept += bool(attempt.result.success) or (attempt.result.success is False and not collection.only_success)
 

@@ -104,9 +104,12 @@ class Evaluator:
         )
 
     def _keep(self, recorder: Recorder, number: int, result: EpisodeResult) -> None:
-        """Keep the recording of an episode, unless a simulator of another project has failed before it began."""
+        """Keep the recording of an episode that was begun, unless a lost policy in simulation leaves it out."""
+        is_simulated = set(self._env.platform.values()) <= {"simulation"}
         if result.failure == SIMULATOR and not recorder.is_recording:
             recorder.forget_next()
+        elif self._agent.is_lost and is_simulated:
+            recorder.discard()
         else:
             recorder.finish(result.success, {"attempt": number, **result.outcome()})
 

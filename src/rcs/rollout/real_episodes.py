@@ -16,6 +16,7 @@ from rcs.agents import Agent
 from rcs.agents.agent import Event
 from rcs.agents.script import Script
 from rcs.envs.env import Env
+from rcs.envs.observer import Note
 from rcs.envs.observers.dataset_info import OBJECTS
 from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Action, Observation
 from rcs.envs.step.approach import SPEED
@@ -150,12 +151,28 @@ class _Informed(Agent):
         self._agent.close()
 
     @property
+    def weights(self) -> str | None:
+        return self._agent.weights
+
+    @property
+    def is_lost(self) -> bool:
+        return self._agent.is_lost
+
+    @property
+    def latencies(self) -> Sequence[float]:
+        return self._agent.latencies
+
+    @property
     def failure(self) -> str | None:
         return self._agent.failure
 
     @property
     def failure_message(self) -> str | None:
         return self._agent.failure_message
+
+    @property
+    def note_fields(self) -> Sequence[Note]:
+        return self._agent.note_fields
 
     def notes(self) -> Mapping[str, Any]:
         return self._agent.notes()
