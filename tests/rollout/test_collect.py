@@ -219,6 +219,33 @@ def test_only_success_keeps_the_same_episodes_with_any_number_of_workers(tmp_pat
     assert [episode.id for episode in one] == [episode.id for episode in three]
 
 
+@pytest.fixture(scope="module")
+def successes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A collection of three successes by one worker, among which are failures."""
+    out = tmp_path_factory.mktemp("successes") / "one"
+    run(plan(out, setup=rcs.Setup(max_episode_steps=112), only_success=True))
+    return out
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_only_success_keeps_the_same_episodes_after_a_kill_of_several_workers(
+    successes: Path, tmp_path: Path, workers: int
+) -> None:
+    out = tmp_path / "killed"
+    collection = plan(out, setup=rcs.Setup(max_episode_steps=112), episodes=5, only_success=True, workers=3)
+    attempts = collect(collection, progress := Progress())
+    while progress.kept < 4:
+        next(attempts)
+    attempts.close()
+    info = Dataset.open(out).info
+    with DatasetWriter.open(out, info, resume=True) as writer:  # as if its worker had been slow, and was killed
+        writer.remove_episode(min(writer.taken()))
+    collection = dataclasses.replace(collection, episodes=3, workers=workers)
+    assert run(collection).kept == 3
+    assert hashes(out) == hashes(successes)
+    assert run(collection).attempts == [], "it is complete"
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_only_success_gives_up_when_nothing_ever_succeeds(tmp_path: Path, workers: int) -> None:
     setup = rcs.Setup(max_episode_steps=2)

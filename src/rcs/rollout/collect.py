@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from rcs_data import Dataset, DatasetInfo, DatasetWriter
+from rcs_data.files.durable import sync_folder
 from rcs_data.files.feature import Colour
 from rcs_data.files.layout import EPISODES_FOLDER
 from rcs_data.options import require_whole
@@ -48,6 +49,9 @@ _ATTEMPT = re.compile(r"\d{6,}")
 # Attempts after which a collection of successes alone gives up: without a single one, and per episode wanted.
 _MOST_WITHOUT_SUCCESS = 100
 _MOST_PER_EPISODE = 20
+# Lies in the folder of a dataset while several workers collect successes. If they are killed, attempts before the last
+# one that is kept may never have ended, and must be made before the collection is complete.
+_UNORDERED = ".unordered"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,13 +287,22 @@ def collect(
             taken = {episode.id for episode in Dataset.open(collection.out)}
             progress.kept = progress.found = len(taken)
             start = time.perf_counter()
-            numbers = _numbers(collection, progress, taken)
+            is_here = collection.workers == 1 and collection.ray is None
+            unordered = collection.out / _UNORDERED
+            later = [int(name) for name in taken if _ATTEMPT.fullmatch(name)] if unordered.exists() else []
+            if collection.only_success and not is_here:
+                unordered.touch()
+                sync_folder(collection.out)
+            numbers = _numbers(collection, progress, taken, later)
             try:
-                if collection.workers == 1 and collection.ray is None:
+                if is_here:
                     yield from _collect_here(collection, writer, env, supervisor, numbers, progress)
                 else:
                     env.close()
                     yield from _collect_in_pool(collection, writer, numbers, progress)
+                if unordered.exists() and not progress.is_interrupted:
+                    _remove_surplus(collection, writer, progress)
+                    unordered.unlink()
                 _require_enough(collection, progress)
             finally:
                 progress.seconds = time.perf_counter() - start
@@ -309,12 +322,21 @@ def _remove_fragments(writer: DatasetWriter) -> int:
     return len(fragments)
 
 
-def _numbers(collection: Collection, progress: Progress, taken: set[str]) -> Iterator[int]:
-    """Yield numbers of attempts until enough episodes are kept."""
+def _numbers(collection: Collection, progress: Progress, taken: set[str], later: Sequence[int]) -> Iterator[int]:
+    """Yield numbers of attempts until enough episodes are kept.
+
+    Args:
+        collection: The recipe.
+        progress: How many episodes are kept.
+        taken: Ids of the episodes that are there.
+        later: Numbers of attempts that are kept, where some before them may never have ended: they count once all
+            before them have.
+    """
     number = 0
     while not progress.is_interrupted:
         if collection.only_success:
-            if progress.kept >= collection.episodes or number >= collection.attempts_before_giving_up(progress.kept):
+            counted = progress.kept - sum(one >= number for one in later)
+            if counted >= collection.episodes or number >= collection.attempts_before_giving_up(progress.kept):
                 return
         elif number >= collection.episodes:
             return
@@ -358,13 +380,19 @@ def _collect_in_pool(
     for attempt in _attempts(collection, writer, numbers):
         _count(attempt, collection, progress)
         yield attempt
-    # Other workers had running attempts when the last one succeeded. Those with the lowest numbers stay, so that the
-    # dataset does not depend on the workers' speed.
-    kept = [episode.id for episode in Dataset.open(collection.out).episodes]
-    if collection.only_success and not progress.is_interrupted:
-        for surplus in sorted(kept)[collection.episodes :]:
-            writer.remove_episode(surplus)
-        progress.kept = min(len(kept), collection.episodes)
+
+
+def _remove_surplus(collection: Collection, writer: DatasetWriter, progress: Progress) -> None:
+    """Remove successes of other workers that had running attempts when the last one succeeded.
+
+    Those with the lowest numbers stay, so that the dataset does not depend on the workers' speed.
+    """
+    names = [episode.id for episode in Dataset.open(collection.out).episodes]
+    numbers = sorted(int(name) for name in names if _ATTEMPT.fullmatch(name))
+    most = max(collection.episodes - (len(names) - len(numbers)), 0)
+    for number in numbers[most:]:
+        writer.remove_episode(episode_id(number))
+    progress.kept = len(names) - len(numbers[most:])
 
 
 def _attempts(collection: Collection, writer: DatasetWriter, numbers: Iterator[int]) -> Iterator[Attempt]:
