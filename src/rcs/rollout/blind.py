@@ -25,6 +25,7 @@ from rcs.rollout.person import PersonJudge
 
 LETTERS = ("X", "Y")
 _NONCE = "blind"
+"""Tag that the two conditions of a comparison share, drawn for each comparison."""
 _TELLING = logging.getLogger("rcs.policy.execution")
 """Logs the words of policies and of connections to them."""
 
@@ -120,16 +121,21 @@ def order_of(evaluation: Evaluation) -> Iterator[tuple[int, int]]:
 
 
 def _blinded(ledger: Ledger, true: list[Condition], identities: list[Identity]) -> list[Condition]:
-    """Return the conditions of both under their letters: those of an earlier start, or new ones, described."""
-    known = {true.hash: blind for blind, true in ledger.blind()}
-    found = [known.get(one.hash) for one in true]
-    left = [letter for letter in LETTERS if letter not in {one.agent for one in found if one is not None}]
-    secrets.SystemRandom().shuffle(left)
-    blind: list[Condition] = []
-    for one, own, identity in zip(true, found, identities, strict=True):
-        if own is None:
-            nonce = {**one.tags, _NONCE: secrets.token_hex(8)}
-            own = replace(one, agent=left.pop(), weights=None, trained=None, data=None, policy={}, tags=nonce)
-            ledger.register(own, hidden=(one, identity.place))
-        blind.append(own)
-    return blind
+    """Return the conditions of both under letters, described: those of an earlier start of the same two, or new ones.
+
+    With letters of another comparison, a policy would take over its episodes, and whose they are would show.
+    """
+    starts: dict[str, dict[str, Condition]] = {}
+    for blind, own in ledger.blind():
+        starts.setdefault(blind.tags[_NONCE], {})[own.hash] = blind
+    for known in starts.values():
+        if known.keys() == {one.hash for one in true}:
+            return [known[one.hash] for one in true]
+    letters, nonce = list(LETTERS), secrets.token_hex(8)
+    secrets.SystemRandom().shuffle(letters)
+    blinded: list[Condition] = []
+    for one, letter, identity in zip(true, letters, identities, strict=True):
+        tags = {**one.tags, _NONCE: nonce}
+        blinded.append(replace(one, agent=letter, weights=None, trained=None, data=None, policy={}, tags=tags))
+        ledger.register(blinded[-1], hidden=(one, identity.place))
+    return blinded
