@@ -18,7 +18,7 @@ from rcs.envs import Env
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup
-from rcs.policy import NOTES, ChunkAgent, Execution
+from rcs.policy import NOTES, ChunkAgent, Execution, offer_of
 from rcs.rollout import run_episode
 from tests.policy.swing import GRIPPER, JOINTS, Swing, rollout
 
@@ -88,6 +88,17 @@ def test_a_policy_that_does_not_fit_is_refused_with_all_differences(env: Env) ->
     told = str(caught.value)
     for part in ("'other arm'", "size 6", "'tcp_wrench'", "'ticks'", "meaning 'delta'", "takes 'gripper'"):
         assert part in told, part
+
+
+def test_an_instruction_that_is_given_is_enough_where_the_task_has_none(env: Env) -> None:
+    policy = Swing()
+    policy.told = replace(policy.told, needs_instruction=True)
+    for none in (None, ""):
+        with pytest.raises(InvalidSetup, match="instruction: the policy needs one"):
+            ChunkAgent(env, policy, instruction=none)
+    rollout(env, ChunkAgent(env, policy, instruction="swing"), 1)
+    assert [words for _, words, _ in policy.resets] == ["swing"]
+    assert offer_of(env, instruction="swing").has_instruction
 
 
 def test_the_same_seed_gives_the_same_bytes_with_latency_too(env: Env) -> None:

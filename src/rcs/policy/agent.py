@@ -80,7 +80,7 @@ class ChunkAgent(Agent):
         self._v = vlagents()
         self.metadata: Metadata = policy.metadata()
         """The metadata of the policy."""
-        require_fit(env, self.metadata)
+        require_fit(env, self.metadata, instruction)
         execution = execution or Execution()
         if env.is_real and execution.latency:
             raise InvalidSetup(f"latency is {execution.latency} s; it is for simulated time, remove it in real time.")

@@ -126,12 +126,13 @@ def nested(values: Mapping[str, NDArray[Any]], boxes: Mapping[str, spaces.Box]) 
 # --- Whether they fit -------------------------------------------------------------------------------------------------
 
 
-def offer_of(env: Env, metadata: v.Metadata | None = None) -> v.Offer:
+def offer_of(env: Env, metadata: v.Metadata | None = None, instruction: str | None = None) -> v.Offer:
     """Return the observations and actions that an environment offers a policy.
 
     Args:
         env: The environment.
         metadata: The metadata of a policy, into whose units and meanings everything convertible is converted.
+        instruction: The instruction for the policy; None for the environment's.
 
     Raises:
         MissingDependency: vlagents is not installed.
@@ -162,17 +163,22 @@ def offer_of(env: Env, metadata: v.Metadata | None = None) -> v.Offer:
     if metadata is not None:
         state = [_converted(part, metadata.state, ("absolute",)) for part in state]
         action = [_converted(part, metadata.action, _meanings(env, part.name)) for part in action]
-    has_instruction = bool(env.instruction)
+    has_instruction = bool(env.instruction if instruction is None else instruction)
     return v.Offer(action=tuple(action), images=tuple(images), state=tuple(state), has_instruction=has_instruction)
 
 
-def require_fit(env: Env, metadata: v.Metadata) -> None:
+def require_fit(env: Env, metadata: v.Metadata, instruction: str | None = None) -> None:
     """Check that a policy can run in an environment.
+
+    Args:
+        env: The environment.
+        metadata: The metadata of the policy.
+        instruction: The instruction for it; None for the environment's.
 
     Raises:
         InvalidSetup: It cannot; the message has all differences, a line each.
     """
-    found: list[str] = vlagents().differences(metadata, offer_of(env, metadata))
+    found: list[str] = vlagents().differences(metadata, offer_of(env, metadata, instruction))
     if env.setup.relative == "origin" and env.setup.control != TWIST:
         found.append("action: the robot counts from an origin that its user sets, which no policy knows")
     if found:
