@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 from rcs_data import Dataset, DatasetWriter
 from vlagents import Metadata, Observation, PartSpec
 from vlagents.policies.scripted import ScriptedPolicy
 
 import rcs
 from rcs.envs import Env
+from rcs.envs.layers import Layer
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup
@@ -99,6 +102,58 @@ def test_an_instruction_that_is_given_is_enough_where_the_task_has_none(env: Env
     rollout(env, ChunkAgent(env, policy, instruction="swing"), 1)
     assert [words for _, words, _ in policy.resets] == ["swing"]
     assert offer_of(env, instruction="swing").has_instruction
+
+
+class Hide(Layer):
+    """Hides what is measured."""
+
+    key = "gripper"
+
+    def observation_spaces(self, inner: Mapping[str, spaces.Space[Any]]) -> dict[str, spaces.Space[Any]]:
+        return {key: space for key, space in inner.items() if key != self.key}
+
+    def map_observation(self, observation: Any) -> Any:
+        return {key: value for key, value in observation.items() if key != self.key}
+
+
+class HideJoints(Hide):
+    """Hides the joints."""
+
+    key = "joints"
+
+
+class HidePose(Hide):
+    """Hides the pose."""
+
+    key = "tquat"
+
+
+def test_a_gripper_that_is_not_measured_starts_open_and_keeps_its_last_command() -> None:
+    with rcs.make("Free", robot="fr3", relative=False, layers=(f"{__name__}:Hide",)) as env:
+        assert "gripper" not in env.reset(seed=0)[0]
+        policy = ScriptedPolicy(
+            lambda seen, _: np.tile([*seen.state["joints"], 0.0], (4, 1)),
+            Metadata(name="closes", state=(JOINTS,), action=(JOINTS, GRIPPER), rate=30.0, horizon=4),
+        )
+        agent = ChunkAgent(env, policy, execution=Execution(mode="open_loop", latency=0.1))
+        grips = [float(action["gripper"][0]) for action, _, _ in rollout(env, agent, 6)]
+        assert grips == [1.0] * 3 + [0.0] * 3
+
+
+@pytest.mark.parametrize(
+    ("control", "hidden", "named"),
+    [("joints", "HideJoints", "joints"), ("tquat", "HidePose", "tquat"), ("xyzrpy", "HidePose", "tquat")],
+)
+def test_what_a_policy_starts_from_and_is_not_shown_is_a_difference(control: Any, hidden: str, named: str) -> None:
+    options: dict[str, Any] = {"robot": "fr3", "control": control, "layers": (f"{__name__}:{hidden}",)}
+    with rcs.make("Free", relative=False, **options) as env:
+        needs = Metadata(name="unsure", action=offer_of(env).action, rate=30.0)
+        with pytest.raises(InvalidSetup, match=f"'{control}' starts and holds .* does not show '{named}'"):
+            ChunkAgent(env, ScriptedPolicy(lambda *_: 1 / 0, needs))
+    with rcs.make("Free", relative=True, **options) as env:
+        differences = replace(needs, action=offer_of(env).action)
+        (action, _, _) = rollout(env, ChunkAgent(env, ScriptedPolicy(lambda *_: 1 / 0, differences)), 2)[-1]
+        assert not np.any(action[control][:6]), "it holds by differences of nothing"
 
 
 def test_the_same_seed_gives_the_same_bytes_with_latency_too(env: Env) -> None:

@@ -58,13 +58,15 @@ class PolicyActions:
         return bool(self._held)
 
     def reset(self, observation: Observation) -> None:
-        """Begin an episode; real grippers keep the last command to them, others are as they are measured."""
+        """Begin an episode.
+
+        Real grippers keep the last command to them, others are as they are measured, or open if they are not.
+        """
         self._held, self._was_moved, self.is_clipped = {}, False, False
         measured = flat(observation)
         names = [name for name in self._boxes if key_of(name) in (GRIPPER, HAND)]
-        self._grips = {
-            name: self._grip(name, measured[name]) if self._is_real(name) else measured[name] for name in names
-        }
+        first = {name: measured.get(name, np.ones(self._boxes[name].shape)) for name in names}
+        self._grips = {name: self._grip(name, at) if self._is_real(name) else at for name, at in first.items()}
 
     def _is_real(self, name: str) -> bool:
         """Return whether a gripper or hand is a real device."""
@@ -125,13 +127,15 @@ class PolicyActions:
             self.is_clipped = False
             if self._was_moved:
                 self._env.hold()
-        return nested({**self._held, **self._grips}, self._boxes)
+        return nested(self._held, self._boxes)
 
     def _place(self, name: str, measured: Mapping[str, Array]) -> Array:
         key = key_of(name)
         if self._is_absolute and key == XYZRPY:
             return tquat_to_xyzrpy(measured[name.removesuffix(XYZRPY) + TQUAT])
-        if key in (GRIPPER, HAND) or (self._is_absolute and key in (JOINTS, TQUAT)):
+        if key in (GRIPPER, HAND):
+            return self._grips[name]
+        if self._is_absolute and key in (JOINTS, TQUAT):
             return measured[name]
         return STILL if key == TQUAT else np.zeros(self._boxes[name].shape)
 

@@ -20,6 +20,7 @@ from rcs.envs.spaces import (
     HAND,
     IS_GRASPED,
     JOINT_TORQUES,
+    JOINTS,
     PRIVILEGED,
     RGB,
     TARGET,
@@ -181,9 +182,24 @@ def require_fit(env: Env, metadata: v.Metadata, instruction: str | None = None) 
     found: list[str] = vlagents().differences(metadata, offer_of(env, metadata, instruction))
     if env.setup.relative == "origin" and env.setup.control != TWIST:
         found.append("action: the robot counts from an origin that its user sets, which no policy knows")
+    found += _unmeasured(env)
     if found:
         lines = "\n".join(f"- {line}" for line in found)
         raise InvalidSetup(f"The policy {metadata.name!r} and the environment do not fit:\n{lines}")
+
+
+def _unmeasured(env: Env) -> Iterator[str]:
+    """Yield a sentence for each part of an action that starts and holds where it is measured, and is not shown."""
+    shown = {name for name, _ in flat_boxes(env.observation_space)}
+    for name, _ in flat_boxes(env.action_space):
+        key = key_of(name)
+        wanted = name.removesuffix(XYZRPY) + TQUAT if key == XYZRPY else name
+        is_target = key == HAND or (env.setup.relative == "absolute" and key in (JOINTS, TQUAT, XYZRPY))
+        if is_target and wanted not in shown:
+            yield (
+                f"state: {name!r} starts and holds where it is measured, and the robot does not show {wanted!r}; have "
+                "it observed, in a simulator of another project by the mapping"
+            )
 
 
 def _meanings(env: Env, name: str) -> tuple[str, ...]:
