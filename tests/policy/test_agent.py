@@ -104,6 +104,13 @@ def test_an_instruction_that_is_given_is_enough_where_the_task_has_none(env: Env
     assert offer_of(env, instruction="swing").has_instruction
 
 
+def test_a_policy_that_needs_images_of_the_goal_is_refused_with_what_to_do(env: Env) -> None:
+    policy = Swing()
+    policy.told = replace(policy.told, needs_goal=True)
+    with pytest.raises(InvalidSetup, match=r"- goal: .* none are sent here; call it from a program"):
+        ChunkAgent(env, policy)
+
+
 class Hide(Layer):
     """Hides what is measured."""
 

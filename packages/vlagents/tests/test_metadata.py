@@ -15,6 +15,7 @@ METADATA = Metadata(
     images=(ImageSpec("wrist", 224, 224), ImageSpec("side")),
     state=(PartSpec("joints", 7, "rad"),),
     needs_instruction=True,
+    needs_goal=True,
     horizon=50,
     rate=30.0,
     checkpoint="runs/act",
@@ -51,6 +52,7 @@ def test_a_robot_that_shows_more_than_is_needed_fits() -> None:
         (replace(OFFER, action=OFFER.action[1:]), "the policy gives 'gripper'"),
         (replace(OFFER, action=(*OFFER.action, PartSpec("hand", 16))), "takes 'hand', which the policy does not give"),
         (replace(OFFER, has_instruction=False), "instruction"),
+        (replace(OFFER, has_goal=False), "goal: the policy needs images of the goal, and none are sent here; call it"),
     ],
 )
 def test_each_difference_is_named(offer: Offer, said: str) -> None:

@@ -164,8 +164,13 @@ def offer_of(env: Env, metadata: v.Metadata | None = None, instruction: str | No
     if metadata is not None:
         state = [_converted(part, metadata.state, ("absolute",)) for part in state]
         action = [_converted(part, metadata.action, _meanings(env, part.name)) for part in action]
-    has_instruction = bool(env.instruction if instruction is None else instruction)
-    return v.Offer(action=tuple(action), images=tuple(images), state=tuple(state), has_instruction=has_instruction)
+    return v.Offer(
+        action=tuple(action),
+        images=tuple(images),
+        state=tuple(state),
+        has_instruction=bool(env.instruction if instruction is None else instruction),
+        has_goal=False,
+    )
 
 
 def require_fit(env: Env, metadata: v.Metadata, instruction: str | None = None) -> None:

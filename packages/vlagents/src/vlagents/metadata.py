@@ -57,6 +57,8 @@ class Metadata(Record):
     """Parts of the state that the policy needs."""
     needs_instruction: bool = False
     """True if the policy needs an instruction in words."""
+    needs_goal: bool = False
+    """True if the policy needs images of the goal, in `Observation.goals`."""
     horizon: Count = 1
     """Rows of a chunk."""
     rate: Hertz = 0.0
@@ -86,7 +88,7 @@ class Metadata(Record):
         return sum(part.size for part in self.action)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Offer(Record):
     """The observations and actions of a robot. A policy may use less than is shown, never more."""
 
@@ -98,6 +100,8 @@ class Offer(Record):
     """Parts of the state that the robot shows."""
     has_instruction: bool = True
     """True if the robot has an instruction in words."""
+    has_goal: bool = True
+    """True if images of the goal are sent with observations."""
 
 
 def differences(metadata: Metadata, offer: Offer) -> list[str]:
@@ -115,6 +119,11 @@ def differences(metadata: Metadata, offer: Offer) -> list[str]:
     ]
     if metadata.needs_instruction and not offer.has_instruction:
         found.append("instruction: the policy needs one, and the robot has none")
+    if metadata.needs_goal and not offer.has_goal:
+        found.append(
+            "goal: the policy needs images of the goal, and none are sent here; call it from a program that sends them "
+            "in `Observation.goals`, or use a policy whose task is in words"
+        )
     return found
 
 

@@ -26,6 +26,7 @@ class Model:
 
     config = {"model": {"heads": {"action": {"kwargs": {"action_horizon": 4}}}}}
     dataset_statistics = STATISTICS
+    text_processor: Any = "a tokenizer"
 
     def __init__(self, window: int = 2) -> None:
         observation = {
@@ -100,9 +101,21 @@ def test_a_task_is_a_goal_where_there_is_one_and_words_otherwise(policy: OctoPol
         policy.infer(seen(1, session="new"))
 
 
+def test_a_model_that_takes_no_words_needs_a_goal(model: Model, tmp_path: Path) -> None:
+    model.text_processor = None
+    (tmp_path / "config.json").write_text("{}")
+    policy = OctoPolicy(str(tmp_path), SETTINGS)
+    assert policy.metadata().needs_goal
+    policy.infer(seen(1, goals={"side": np.full((8, 8, 3), 4, np.uint8)}, instruction="place"))
+    assert [task.get("texts") for task in model.tasks] == [None, None]
+    with pytest.raises(InvalidInput, match=r"takes no words; give images of the goal of \['side'\]"):
+        policy.infer(seen(1, instruction="place"))
+
+
 def test_metadata_are_those_of_the_model_and_the_settings(policy: OctoPolicy) -> None:
     metadata = policy.metadata()
     assert (metadata.horizon, metadata.rate, metadata.size) == (4, 5.0, 7)
+    assert not metadata.needs_goal
     assert [(image.name, image.height, image.width) for image in metadata.images] == [("side", 8, 8)]
     assert metadata.state == SETTINGS.state
     assert len(metadata.checkpoint_hash) == 64

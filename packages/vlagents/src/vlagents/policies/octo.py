@@ -82,7 +82,8 @@ class OctoPolicy(SessionPolicy[_Memory]):
         """Call the policy once, so that the model is compiled before a robot waits for it."""
         images = {self._settings.camera(name): np.zeros((*size, 3), np.uint8) for name, size in self._pictures.items()}
         state = {part.name: np.zeros(part.size) for part in self._settings.state}
-        self.infer(Observation(images=images, state=state, instruction="wait", session="warm-up"))
+        goals = images if self._metadata.needs_goal else {}
+        self.infer(Observation(images=images, state=state, goals=goals, instruction="wait", session="warm-up"))
         self.forget("warm-up")
 
     def _describe(self, checkpoint: str, is_remote: bool) -> Metadata:
@@ -94,6 +95,7 @@ class OctoPolicy(SessionPolicy[_Memory]):
             action=action,
             images=tuple(ImageSpec(self._settings.camera(name), *size) for name, size in self._pictures.items()),
             state=self._settings.state,
+            needs_goal=self._model.text_processor is None,
             horizon=int(head.get("action_horizon", 1)),
             rate=self._settings.rate or USUAL_RATE,
             checkpoint=checkpoint,
@@ -145,9 +147,14 @@ class OctoPolicy(SessionPolicy[_Memory]):
             image = inputs.goal(observation, self._settings.camera(name), *size)
             if image is not None:
                 goals[name] = np.array(image)[None]
+        if not goals and self._metadata.needs_goal:
+            cameras = [self._settings.camera(name) for name in self._pictures]
+            raise InvalidInput(f"This model takes no words; give images of the goal of {cameras}, as `goals`.")
         if not goals:
             return self._model.create_tasks(texts=[self._instruction(observation)])
         words = observation.instruction or self._session(observation).instruction
+        if self._metadata.needs_goal:
+            words = ""
         known = [name for name in self._pictures if name in self._model.example_batch["task"]]
         if missing := sorted(set(known) - set(goals)):
             cameras = [self._settings.camera(name) for name in missing]

@@ -96,6 +96,7 @@ class Vjepa2AcPolicy(SessionPolicy[_Memory]):
                 action=DELTA_POSE,
                 images=(ImageSpec(self._camera),),
                 state=STATE,
+                needs_goal=True,
                 horizon=self._search["horizon"],
                 rate=settings.rate or USUAL_RATE,
                 checkpoint=checkpoint,

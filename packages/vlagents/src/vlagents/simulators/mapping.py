@@ -100,6 +100,7 @@ class SimulatorMapping(Record):
             state=tuple(PartSpec(p.name, sum(shown[name] for name in p.of), p.unit) for p in self.state),
             action=tuple(PartSpec(p.name, sum(taken[n] for n in p.of), p.unit, p.meaning) for p in self.action),
             has_instruction=bool(self.instruction),
+            has_goal=False,
         )
 
     def bounds(self, facts: Facts) -> tuple[Array, Array]:
