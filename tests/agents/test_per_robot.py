@@ -80,6 +80,25 @@ def test_an_environment_of_one_robot_is_refused() -> None:
         PerRobot(rcs.make("Free"), {"fr3": Counting(0.0)})
 
 
+class Served(Counting):
+    """Has weights, answers late, and may be lost."""
+
+    is_lost = False
+    weights: str | None = "aa"
+    latencies = (0.1, 0.2)
+
+
+def test_what_is_known_of_served_agents_is_that_of_all() -> None:
+    left, right = Served(0.0), Served(0.0)
+    both = PerRobot(rcs.make("Free", robot="dual_fr3", relative="absolute"), {"left": left, "right": right})
+    assert (both.is_lost, list(both.latencies)) == (False, [0.1, 0.2, 0.1, 0.2])
+    before = both.weights
+    right.weights = "bb"
+    assert before is not None and both.weights not in (None, before)
+    right.is_lost, right.weights = True, None
+    assert (both.is_lost, both.weights) == (True, None)
+
+
 def test_actions_that_would_add_up_are_refused() -> None:
     env = rcs.make("Free", robot="dual_fr3", relative="last_step")
     with pytest.raises(InvalidSetup, match="would add up"):

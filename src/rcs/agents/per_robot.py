@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -71,6 +72,23 @@ class PerRobot(Agent):
         """Words on what went wrong, agent by agent; None if nothing did."""
         messages = {name: pace.agent.failure_message for name, pace in self._paces.items()}
         return "; ".join(f"{name}: {words}" for name, words in messages.items() if words) or None
+
+    @property
+    def weights(self) -> str | None:
+        """SHA-256 of the hashes of all agents' weights, in the order of the robots; None if one is not known."""
+        every = [pace.agent.weights for pace in self._paces.values()]
+        known = [one for one in every if one is not None]
+        return hashlib.sha256("".join(known).encode()).hexdigest() if len(known) == len(every) else None
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the connection of one of the agents was lost in this episode."""
+        return any(pace.agent.is_lost for pace in self._paces.values())
+
+    @property
+    def latencies(self) -> Sequence[float]:
+        """How long each answer of a policy took in this episode [s], agent by agent."""
+        return [one for pace in self._paces.values() for one in pace.agent.latencies]
 
     @property
     def note_fields(self) -> Sequence[Note]:

@@ -165,14 +165,14 @@ def _drawn(dataset: Dataset, number: int, rng: np.random.Generator) -> list[Epis
 def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Harmonise) -> list[DatasetInfo]:
     """Return the info of each dataset's episodes after the mapping; only the setups differ."""
     infos: list[DatasetInfo] = []
-    known = [
+    present = [
         feature.key
         for name, dataset in zip(names, datasets, strict=True)
         for feature in renamed(dataset.info, how.rename.get(name, {})).features
     ]
-    if unknown := [key for key in how.drop if not any(one == key or one.startswith(f"{key}/") for one in known)]:
+    if unpresent := [key for key in how.drop if not any(one == key or one.startswith(f"{key}/") for one in present)]:
         raise InvalidSetup(
-            f"drop has {', '.join(unknown)}, which no dataset has; they have {', '.join(dict.fromkeys(known))}."
+            f"drop has {', '.join(unpresent)}, which no dataset has; they have {', '.join(dict.fromkeys(present))}."
         )
     for name, dataset in zip(names, datasets, strict=True):
         info = renamed(dataset.info, how.rename.get(name, {}))
