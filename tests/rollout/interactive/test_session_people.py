@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from rcs_data import Dataset
 
+from rcs.agents import Agent
 from rcs.envs import Env
 from rcs.envs.setup import Setup
+from rcs.envs.spaces import Action, Observation
 from rcs.rollout.interactive.session import Session, playable
-from rcs.teleop import Button, HandReading, Keyboard, Operator
+from rcs.teleop import Button, HandReading, Keyboard, Operator, Takeover
 from tests.teleop.scripted_device import LEVEL, ScriptedDevice, at, held
 
 
@@ -122,3 +126,37 @@ def test_a_take_led_by_keys_after_another_one_has_all_notes_of_them(tmp_path: Pa
     assert second.info.feature("notes/right_state").words[int(second.column("notes/right_state")[-1]) - 1] == "released"
     words = second.info.feature("notes/actor").words
     assert {words[int(one) - 1] for take in (first, second) for one in take.column("notes/actor")} == {"page"}
+
+
+class Turning(Agent):
+    """A policy that turns the first joint on and on."""
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        return {"joints": observation["joints"] + np.array([0.02, *[0.0] * 6]), "gripper": np.ones(1, np.float32)}
+
+
+def test_when_the_page_that_led_is_gone_a_policy_gives_the_robots_to_the_person_who_may_take_over() -> None:
+    def takeover(env: Env) -> Takeover:
+        device = ScriptedDevice(lambda t: held(LEVEL), clock=lambda: float(env.simulation.world.time))
+        operator = Operator(env, device, clock=lambda: float(env.simulation.world.time), has_thread=False)
+        return Takeover(env, Turning(), operator)
+
+    setup = replace(playable(Setup(task="Free", relative="absolute")), stepping="async")
+    with Session(setup, agent=takeover) as session:
+        session.let_agent(True)
+        for _ in range(10):
+            session.step()
+        assert isinstance(session.agent, Takeover)
+        assert session.agent.actor == "policy"
+        session.release()
+        assert isinstance(session.agent, Takeover), "the person at the device may lead"
+        assert session.agent.actor == "person"
+        for _ in range(40):
+            session.step()
+        stopped = session.observation["joints"]
+        for _ in range(20):
+            session.step()
+        np.testing.assert_allclose(session.observation["joints"], stopped, atol=1e-4)

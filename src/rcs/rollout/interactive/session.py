@@ -265,10 +265,12 @@ class Session(Closing):
     def release(self) -> None:
         """Have all robots brake and stay, because the page that led is gone; an agent acts no longer.
 
-        A person with a device in the hand still leads.
+        A person with a device in the hand still leads, and has the robots where a policy acted.
         """
         pace = None if people_of(self.agent) else self._take_off_agent()
         self._brake()
+        if isinstance(self.agent, Takeover) and self.agent.actor == "policy":
+            self.agent.give_to_person(self.observation, self.info)
         if pace is not None:
             pace.agent.close()
 
