@@ -120,6 +120,23 @@ def test_a_fault_is_told_and_the_button_recovers(view: BrowserView, monkeypatch:
     assert not control(view, "Recover").visible
 
 
+IMAGE = "<img src=x onerror=alert(1)>"
+
+
+def test_words_of_a_fault_and_an_instruction_are_shown_and_not_rendered(
+    view: BrowserView, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine: Any = view.session.env._engine
+    engine.instruction = f"pick {IMAGE}"
+    with monkeypatch.context() as broken:
+        broken.setattr(view.session.env.stack, "faults", lambda: {"side": f"404\n{IMAGE}"})
+        view.update()
+    shown = words(view)
+    assert "<" not in shown
+    assert "**pick &lt;img src=x onerror=alert" in shown
+    assert "> side: 404 &lt;img src=x onerror=alert" in shown
+
+
 def test_an_error_of_a_request_is_shown_and_the_session_goes_on(view: BrowserView) -> None:
     def fail() -> None:
         raise InvalidSetup("no such robot")

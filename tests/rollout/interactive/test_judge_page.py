@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -127,3 +128,22 @@ def test_two_policies_are_judged_blindly_on_a_page(chromium: Any, tmp_path: Path
     for secret in ("Alphabet", "Betamax"):
         assert secret not in "".join(seen)
         assert all(secret not in path.read_text() for path in (tmp_path / "out").rglob("*.json*"))
+
+
+def test_a_question_is_shown_and_not_rendered() -> None:
+    shown = list[str]()
+
+    class Text:
+        """Has the answer as soon as the question is shown."""
+
+        def __setattr__(self, name: str, value: str) -> None:
+            shown.append(value)
+            page._answer("Done")
+
+    env: Any = SimpleNamespace(stack=SimpleNamespace(ports=[]))
+    page: Any = JudgePage(env, None)
+    page._server, page._text, page._details = object(), Text(), SimpleNamespace(value="")
+    assert page.ask("'<img src=x onerror=alert(1)>' is no answer. [y]es", {}, None) == "y"
+    assert shown[0].startswith("**'&lt;img src=x onerror=alert")
+    assert "<" not in shown[0]
+    assert shown[0].endswith(r"\[y\]es**")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import urllib.request
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import viser
 
 import rcs
-from rcs.rollout.interactive.twin_view import TwinView
+from rcs.rollout.interactive.twin_view import TwinView, _words
 from tests.joint_sweep import JointSweep
 
 
@@ -41,3 +42,9 @@ def test_the_page_shows_the_robot_and_its_twin_side_by_side() -> None:
             with urllib.request.urlopen(view.url, timeout=30) as page:
                 assert page.status == 200
         view.close()
+
+
+def test_names_and_alarms_are_shown_and_not_rendered() -> None:
+    shown = _words("<b>left", SimpleNamespace(lag=None, rms=np.zeros(1), alarm="<img src=x onerror=alert(1)>"))
+    assert "<" not in shown
+    assert shown.startswith("**&lt;b&gt;left**: lag not known yet")

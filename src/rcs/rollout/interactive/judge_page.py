@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rcs.envs.env import Env
 from rcs.envs.ports.camera import CameraPort
 from rcs.envs.spaces import FRAMES, RGB, Observation
+from rcs.rollout.interactive.markdown import as_line
 from rcs.rollout.interactive.page import Page
 from rcs.rollout.outlines import Outlines
 from rcs.rollout.person import UNDO
@@ -53,7 +54,7 @@ class JudgePage(Page):
         assert self._server is not None, "it is open"
         while not self._lines.empty():  # a second click on the answer before
             self._lines.get()
-        self._text.content = f"**{question}**"
+        self._text.content = f"**{as_line(question)}**"
         while self._lines.empty():
             for name, picture in self.pictures(observation, seed).items():
                 if name in self._pictures:

@@ -11,6 +11,7 @@ import numpy as np
 
 from rcs.agents import Event
 from rcs.agents.guide import Guide
+from rcs.rollout.interactive.markdown import as_line
 from rcs.rollout.interactive.session import Session
 from rcs.sim.browser_scene import BrowserScene
 from rcs.spatial import wxyz_to_xyzw, xyzw_to_wxyz
@@ -116,22 +117,22 @@ class Panel:
     def _show_text(self) -> None:
         session, words = self._session, self._message or self._session.problem
         reach = ", ".join(name for name, guide in session.guides.items() if guide.is_out_of_reach)
-        lines = [f"**{session.env.instruction}**" if session.env.instruction else ""]
+        lines = [f"**{as_line(session.env.instruction)}**" if session.env.instruction else ""]
         lines.append(
             f"**{session.verdict}** · seed {session.seed} · {session.time:.1f} s · step {session.steps}  \n"
             f"reward {session.reward:.3f} · sum {session.total:.2f}"
         )
         if session.env.is_real:
-            lines.append(f"loop: {session.statistics}")
+            lines.append(f"loop: {as_line(session.statistics)}")
         for person in people_of(session.agent):
             states = ", ".join([*person.states.values(), *([person.problem] if person.problem else [])])
             is_page = person is session.operator
-            name = f"keys ({self._keys.speed:.2f} m/s)" if is_page else type(person.device).__name__
-            lines.append(f"{name}: {states}" + (f"  \n{KEYS_HELP}" if is_page else ""))
+            name = f"keys ({self._keys.speed:.2f} m/s)" if is_page else as_line(type(person.device).__name__)
+            lines.append(f"{name}: {as_line(states)}" + (f"  \n{KEYS_HELP}" if is_page else ""))
         if words:
-            lines.append(f"> {words}")
+            lines.append(f"> {as_line(words)}")
         elif reach and session.agent is None:
-            lines.append(f"> The target of {reach} is out of reach.")
+            lines.append(f"> The target of {as_line(reach)} is out of reach.")
         elif session.is_over:
             lines.append("> The episode is over. *Reset* repeats it, *Next seed* begins another one.")
         text = "\n\n".join(line for line in lines if line)
@@ -154,8 +155,8 @@ class Panel:
         if takes is None:
             return "No take yet."
         dropped = f", {takes.dropped} images or rows dropped" if takes.dropped else ""
-        now = [] if takes.now is None else [f"**{takes.now}: recording{dropped}**"]
-        return "  \n".join([*now, *(str(take) for take in takes.ended[: -SHOWN - 1 : -1])])
+        now = [] if takes.now is None else [f"**{as_line(takes.now)}: recording{dropped}**"]
+        return "  \n".join([*now, *(as_line(take) for take in takes.ended[: -SHOWN - 1 : -1])])
 
     # --- Made once ----------------------------------------------------------------------------------------------------
 

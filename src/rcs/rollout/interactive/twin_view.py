@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rcs.envs.observers.twin import Twin
+from rcs.rollout.interactive.markdown import as_line
 from rcs.rollout.interactive.page import Page
 from rcs.sim.browser_scene import BrowserScene
 from rcs.sim.scene import RobotPlacement
@@ -85,5 +86,5 @@ class TwinView(Page):
 
 def _words(name: str, one: Any) -> str:
     lag = "not known yet" if one.lag is None else f"{1e3 * one.lag:.0f} ms"
-    alarm = "" if one.alarm is None else f"\n\n**Alarm: {one.alarm}**"
-    return f"**{name}**: lag {lag}, largest RMS error {1e3 * one.rms.max():.1f} mrad{alarm}"
+    alarm = "" if one.alarm is None else f"\n\n**Alarm: {as_line(one.alarm)}**"
+    return f"**{as_line(name)}**: lag {lag}, largest RMS error {1e3 * one.rms.max():.1f} mrad{alarm}"
