@@ -17,7 +17,7 @@ import rcs
 from rcs.devices import CameraMode, Frame
 from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper
 from rcs.envs.observers.record import record
-from rcs.envs.ports.camera import cropped, intrinsics_of
+from rcs.envs.ports.camera import CameraPort, cropped, intrinsics_of
 from rcs.errors import DeviceFault, InvalidSetup, MissingDependency
 from rcs.hardware import Site
 from rcs.hardware.usb import Plug, UsbDevice
@@ -70,6 +70,18 @@ def test_a_frame_that_is_seen_again_is_the_same_read_only_array(camera: FakeCame
     assert 1 < kinds < len(frames), "some frames are new and some are seen again"
     env.close()
     assert not camera.is_open
+
+
+def test_only_the_thread_of_a_camera_replaces_its_frames_once_it_is_read(camera: FakeCamera) -> None:
+    env = make(camera, on_stale="flag", stale_after=60.0)
+    env.reset(seed=0)
+    (feed,) = (feed for port in env.stack.ports if isinstance(port, CameraPort) for feed in port._feeds.values())
+    camera.lose_link()
+    wait_for(lambda: bool(feed.failure))
+    newest = feed.newest
+    env.reset(seed=1)
+    assert feed.newest is newest
+    env.close()
 
 
 def test_a_camera_that_stalls_ends_the_episode(camera: FakeCamera) -> None:

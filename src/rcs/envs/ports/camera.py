@@ -95,8 +95,7 @@ class CameraPort(Port):
             MissingDependency: A driver needs a package that is not installed.
         """
         try:
-            for feed in self._feeds.values():
-                feed.start()
+            started = [feed for feed in self._feeds.values() if feed.start()]
             until = time.monotonic() + camera_thread.FIRST_FRAME
             for feed in self._feeds.values():
                 feed.wait(until)
@@ -104,10 +103,9 @@ class CameraPort(Port):
             self._let_go()
             raise
         self._learn()
-        for name, feed in self._feeds.items():
+        for feed in started:
             # The first frame was taken before the device was asked for its calibration.
-            assert feed.newest is not None, "open waits for a frame"
-            feed.newest = {**feed.newest[0], **self._takers[name].fixed}, *feed.newest[1:]
+            feed.amend(self._takers[feed.name].fixed)
 
     def _learn(self) -> None:
         """Ask how the cameras see, which a device may know only when it is open."""

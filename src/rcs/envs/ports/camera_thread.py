@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rcs.devices import Camera, Frame
@@ -45,6 +45,8 @@ class CameraFeedThread:
         self._take = take
         self.reconnections = 0
         """How often the camera was opened again since the first frame."""
+        self._lock = threading.Lock()
+        """Held while `newest` is replaced."""
         self._must_end = threading.Event()
         self._has_begun = threading.Event()
         """There is a first frame, or there will be none."""
@@ -53,14 +55,14 @@ class CameraFeedThread:
         self._is_left = False
         self._called: float | None = None
 
-    def start(self) -> None:
-        """Connect the camera and read it, on the thread.
+    def start(self) -> bool:
+        """Connect the camera and read it, on the thread; return False where that has begun before.
 
         Raises:
             DeviceFault: A call of the camera has not returned since it was last closed.
         """
         if self._thread is not None and not self._must_end.is_set():
-            return
+            return False
         if self._thread is not None and self._thread.is_alive():
             raise DeviceFault(
                 f"Camera {self.name!r} is still in a call of its driver that was under way when it was closed; unplug "
@@ -71,6 +73,7 @@ class CameraFeedThread:
         self._error, self._is_left, self.failure, self.reconnections = None, False, "", 0
         self._thread = threading.Thread(target=self._run, name=f"camera {self.name}", daemon=True)
         self._thread.start()
+        return True
 
     def wait(self, until: float) -> None:
         """Wait for the first frame.
@@ -93,6 +96,13 @@ class CameraFeedThread:
         raise DeviceFault(
             f"Camera {self.name!r} has given no frame within {FIRST_FRAME:g} s{f': {why}' if why else ''}."
         )
+
+    def amend(self, entries: Mapping[str, Any]) -> None:
+        """Add entries to the newest frame that were not known yet when it was taken; `take` has them from now on."""
+        with self._lock:
+            if self.newest is not None:
+                frame, taken, at = self.newest
+                self.newest = {**frame, **entries}, taken, at
 
     def busy(self) -> str:
         """Return how long the driver has been in one call, if that is long enough to explain a missing frame."""
@@ -134,9 +144,10 @@ class CameraFeedThread:
                 self._reopen()
 
     def _keep(self, frame: Frame) -> None:
-        if self.newest is not None and not frame.time > self.newest[1] and self._has_begun.is_set():
-            return  # an older picture that was overtaken
-        self.newest = self._take(frame), frame.time, frame.device_time
+        with self._lock:
+            if self.newest is not None and not frame.time > self.newest[1] and self._has_begun.is_set():
+                return  # an older picture that was overtaken
+            self.newest = self._take(frame), frame.time, frame.device_time
         self.failure = ""
         self._has_begun.set()
 

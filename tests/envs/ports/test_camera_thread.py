@@ -1,0 +1,47 @@
+"""The thread of a camera is the only one that makes frames; what others add to them is not lost."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+from rcs.devices import CameraMode, Frame
+from rcs.devices.fakes import FakeCamera
+from rcs.envs.ports.camera_thread import CameraFeedThread
+
+
+def test_what_is_added_to_a_frame_is_in_one_that_is_being_made_meanwhile_too() -> None:
+    fixed, is_making, may_go_on = {"matrix": 1}, threading.Event(), threading.Event()
+    may_go_on.set()
+
+    def take(frame: Frame) -> dict[str, Any]:
+        made = {"number": frame.number, **fixed}
+        if not may_go_on.is_set():
+            is_making.set()
+            may_go_on.wait(20.0)
+        return made
+
+    feed = CameraFeedThread("side", FakeCamera(CameraMode(64, 48, 100.0, False)), take)
+    assert feed.start()
+    feed.wait(time.monotonic() + 20.0)
+    may_go_on.clear()
+    assert is_making.wait(20.0)
+    fixed["matrix"] = 2
+    amending = threading.Thread(target=feed.amend, args=({"matrix": 2},), name="amends")
+    amending.start()
+    amending.join(0.1)
+    may_go_on.set()
+    amending.join(20.0)
+    assert feed.newest is not None
+    assert feed.newest[0]["matrix"] == 2
+    feed.close()
+
+
+def test_a_thread_that_runs_is_not_started_again() -> None:
+    feed = CameraFeedThread("side", FakeCamera(CameraMode(64, 48, 100.0, False)), lambda frame: {"n": frame.number})
+    assert feed.start()
+    assert not feed.start()
+    feed.close()
+    assert feed.start()
+    feed.close()
