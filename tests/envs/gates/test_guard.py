@@ -259,6 +259,25 @@ def test_a_real_arm_is_guarded_in_the_scene_that_its_body_is_in() -> None:
         assert observation["tquat"][2] > 0.0
 
 
+def test_a_rebase_of_one_arm_leaves_what_the_guard_knows_of_the_motion_of_another() -> None:
+    hardware = {name: "fake" for arm in ("left", "right") for name in (arm, f"{arm}/gripper")}
+    options: dict[str, Any] = {"relative": False, "frequency": 50, "max_episode_steps": None}
+    with rcs.make("Free", robot="dual_fr3", hardware=hardware, gates=[Guard(deadline=0.5)], **options) as env:
+        observation, _ = env.reset(seed=0)
+        target = {arm: {"joints": observation[arm]["joints"].copy(), "gripper": OPEN} for arm in ("left", "right")}
+        for _ in range(5):
+            target["right"]["joints"][0] += 0.01
+            assert "refused" not in env.step(target)[-1]
+        guard: Any = env.stack.gates[0]
+        commanded, (_, braking) = guard._commanded["right"], guard._motions.ways(0, None)
+        assert len(braking) > 2, "it is in motion"
+        env.rebase("left")
+        np.testing.assert_array_equal(guard._commanded["right"], commanded)
+        np.testing.assert_array_equal(guard._motions.ways(0, None)[1], braking)
+        env.rebase()
+        assert len(guard._motions.ways(0, None)[1]) == 1
+
+
 @pytest.mark.slow
 def test_no_stream_of_far_targets_has_two_arms_touch_anything() -> None:
     """The benchmark judges by the contacts of every physics step; the guard intervenes in half of the episodes."""

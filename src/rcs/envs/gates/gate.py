@@ -64,7 +64,11 @@ class Gate(ABC):
         """Some copies start anew, where they are measured."""
 
     def rebase(self, measured: Mapping[str, Observation]) -> None:  # noqa: B027
-        """Count from the measured state from now on: after a hold, or a push."""
+        """Count from the measured state from now on: after a hold, or a push.
+
+        Args:
+            measured: Present measurements of the robots that this is about, by their names; others go on as they are.
+        """
 
     def info(self) -> dict[str, Any]:
         """Return the entries of `info` about the last action."""

@@ -142,19 +142,24 @@ class Guard(Gate):
 
     def reset(self, measured: Mapping[str, Observation], where: CopyIndex) -> None:
         """Count from where the robots are."""
-        for name in self._names:
-            joints = np.array(measured[name][JOINTS], np.float64)
-            if name in self._commanded and where is not ...:
-                commanded = self._commanded[name].copy()
-                commanded[where] = joints[where]
-                joints = commanded
-            self._commanded = {**self._commanded, name: joints}
-        self._motions.stand(self._of_copy(self._commanded, 0))
-        self._floors = {key: own for key, own in self._floors.items() if where is not ... and key[0] not in where}
+        self._count_from(measured, self._names, where)
 
     def rebase(self, measured: Mapping[str, Observation]) -> None:
-        """Count from where the robots are."""
-        self.reset(measured, ...)
+        """Count from where the measured robots are; what others were commanded, they still follow."""
+        self._count_from(measured, [name for name in self._names if name in measured], ...)
+
+    def _count_from(self, measured: Mapping[str, Observation], names: Sequence[str], where: CopyIndex) -> None:
+        for name in names:
+            joints = np.array(measured[name][JOINTS], np.float64)
+            if name in self._commanded and where is not ...:
+                kept = self._commanded[name].copy()
+                kept[where] = joints[where]
+                joints = kept
+            self._commanded = {**self._commanded, name: joints}
+        robots = [robot.name for robot, name in zip(self._robots, self._names, strict=True) if name in names]
+        commanded = self._of_copy(self._commanded, 0)
+        self._motions.stand({robot: commanded[robot] for robot in robots})
+        self._floors = {key: own for key, own in self._floors.items() if where is not ... and key[0] not in where}
 
     def sent(self, targets: Mapping[str, Action]) -> None:
         """Remember what was commanded."""

@@ -54,8 +54,9 @@ class GuardedMotions:
         self._names = [robot.name for robot in robots]
 
     def stand(self, joints: Joints) -> None:
-        """Take real arms to stand where they are measured."""
-        for name, (_, memory) in self._real.items():
+        """Take the real ones among these arms to stand where they are measured."""
+        for name in self._real.keys() & joints.keys():
+            _, memory = self._real[name]
             memory[:] = 0.0
             for row in Trajectory.POSITION_ROWS:
                 memory[row * len(joints[name]) : (row + 1) * len(joints[name])] = joints[name]

@@ -241,7 +241,7 @@ class Stack:
         for name in own:
             self.chains[name].rebase(measured[name])
         for gate in self.gates:
-            gate.rebase(measured)
+            gate.rebase({name: measured[name] for name in own})
 
     def faults(self) -> dict[str, str]:
         """Return the reason of every device that is in its fault state, by the device's name or `robot/device`."""
