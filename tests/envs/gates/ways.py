@@ -39,9 +39,10 @@ class PickBesidePlate(PickCuboid):
         plate.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.15, 0.15, 0.001))
 
 
-def make_beside_plate(**gates: Any) -> Env:
+def make_beside_plate(task_options: Mapping[str, Any] | None = None, **gates: Any) -> Env:
     """Return an environment with the plate and a guard with some options."""
     options: dict[str, Any] = {"control": "tquat", "relative": False, "max_episode_steps": None}
+    options["task_options"] = dict(task_options or {})
     return rcs.make(PickBesidePlate, gates={"Guard": gates}, **options)
 
 

@@ -53,7 +53,7 @@ FRACTION = "guard_fraction"
 class Guard(Gate):
     """Checks the way of all robots to their targets before any device sees them."""
 
-    memory = ("_commanded",)
+    memory = ("_commanded", "_floors", "_scene")
 
     def __init__(
         self,
@@ -104,7 +104,8 @@ class Guard(Gate):
         self._commanded: dict[str, NDArray[np.float64]] = {}
         self._fraction: Any = 1.0
         self._must_hold = np.array(False)
-        self._floors: dict[tuple[int, int], float] = {}
+        self._floors: NDArray[np.float64] = np.full(2, -np.inf)
+        """Least distance that is kept where something is too near already [m], by checker, (*leading, 2)."""
         self._scene: GuardedScene | None = None
 
     def bind(self, parts: Parts, world: World | None, compose: Callable[[], Scene]) -> None:
@@ -138,11 +139,14 @@ class Guard(Gate):
         self._motions = GuardedMotions(parts.robots, world, parts.devices.arms, 1.0 / parts.setup.frequency)
         self._is_synchronous = parts.setup.stepping == "sync"
         self._finger_places = math.ceil(1.0 / parts.setup.frequency / TICK)
-        self._is_batch = world is not None and bool(world.leading)
+        leading: tuple[int, ...] = () if world is None else world.leading
+        self._is_batch = bool(leading)
+        self._floors = np.full((*leading, 2), -np.inf)
 
     def reset(self, measured: Mapping[str, Observation], where: CopyIndex) -> None:
         """Count from where the robots are."""
         self._count_from(measured, self._names, where)
+        self._require_scene().forget(where)
 
     def rebase(self, measured: Mapping[str, Observation]) -> None:
         """Count from where the measured robots are; what others were commanded, they still follow."""
@@ -159,7 +163,9 @@ class Guard(Gate):
         robots = [robot.name for robot, name in zip(self._robots, self._names, strict=True) if name in names]
         commanded = self._of_copy(self._commanded, 0)
         self._motions.stand({robot: commanded[robot] for robot in robots})
-        self._floors = {key: own for key, own in self._floors.items() if where is not ... and key[0] not in where}
+        floors = self._floors.copy()
+        floors[where] = -np.inf
+        self._floors = floors
 
     def sent(self, targets: Mapping[str, Action]) -> None:
         """Remember what was commanded."""
@@ -263,12 +269,12 @@ class Guard(Gate):
         places = np.concatenate([here[None], places[1:], end[None]])
         checks = [(scene.far, self._margin), (scene.near, self._near_margin)]  # they are made anew with the geometry
         for number, (checker, margin) in enumerate(checks):
-            if why := self._first_hit((copy, number), checker, places, margin):
+            if why := self._first_hit((copy, number) if self._is_batch else (number,), checker, places, margin):
                 return why
         return ""
 
     def _first_hit(
-        self, key: tuple[int, int], checker: CollisionChecker, places: NDArray[np.float64], margin: float
+        self, key: tuple[int, ...], checker: CollisionChecker, places: NDArray[np.float64], margin: float
     ) -> str:
         hit = checker.first_hit_on_way(places, STEP, TURN, margin)
         if hit is None:
@@ -276,7 +282,7 @@ class Guard(Gate):
         if hit.free_until == 0.0:  # too near already: no nearer than that
             distance = checker.clearance(places[0], margin).distance
             if distance < margin:
-                floor = self._floors.get(key, -math.inf)
+                floor = float(self._floors[key])
                 if distance < floor - 2 * SLACK:  # something else has moved
                     floor = -math.inf
                 self._floors[key] = floor = max(floor, distance - SLACK)
@@ -284,7 +290,7 @@ class Guard(Gate):
                 if hit is None:
                     return ""
         else:
-            self._floors.pop(key, None)
+            self._floors[key] = -math.inf
         words = self._require_scene().describe(hit.geoms)
         distance = 1e3 * hit.distance
         return (

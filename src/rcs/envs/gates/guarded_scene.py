@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs._core import CollisionChecker
+from rcs.envs.layers.layer import CopyIndex
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS
 from rcs.errors import InvalidSetup
 from rcs.sim.scene import TABLE, RobotPlacement, Scene
@@ -53,6 +54,8 @@ def lagging(way: NDArray[np.float64], here: NDArray[np.float64]) -> NDArray[np.f
 
 class GuardedScene:
     """Two checkers of one scene, and the way from the values of robots to their joints."""
+
+    memory = ("held",)
 
     def __init__(
         self,
@@ -118,6 +121,9 @@ class GuardedScene:
         self._near += self._close_by_construction(margin)
         held = () if ignore else touch
         self._held_objects = HeldObjects(self._model, held, self._robots)
+        self._leading: tuple[int, ...] = () if world is None else world.leading
+        self._held: dict[int, Held] = {}
+        """Objects that are held, by copy; where one is in the hand changes only when it slips."""
         self._geometry: dict[str, NDArray[Any]] = {}
         self._build()
 
@@ -125,8 +131,6 @@ class GuardedScene:
         """Make the checkers for the present geometry."""
         self._own = self._model.jnt_qposadr[[joint for own in self._joints for joint in own]]
         self._seen: list[NDArray[np.float64]] = []
-        self._held: dict[int, Held] = {}
-        """Objects that are held, by copy; where one is in the hand changes only when it slips."""
         self._attached: Held = {}
         """Objects that are held in the copy that was seen last."""
         if self._world is not None:
@@ -146,6 +150,28 @@ class GuardedScene:
         for a, b in allowed:
             checker.allow(a, b)
         return checker
+
+    @property
+    def held(self) -> NDArray[np.float64]:
+        """Held objects: id of the body that holds each, -1 for none, and its pose in that, (*leading, objects, 8)."""
+        bodies = self._held_objects.bodies
+        held = np.full((*(self._leading or (1,)), len(bodies), 8), -1.0)
+        for copy, own in self._held.items():
+            for body, (holder, pose) in own.items():
+                held[copy, bodies.index(body)] = holder, *pose.tquat
+        return held.reshape(*self._leading, len(bodies), 8)
+
+    @held.setter
+    def held(self, held: NDArray[np.float64]) -> None:
+        bodies = self._held_objects.bodies
+        self._held = {}
+        for copy, rows in enumerate(held.reshape(*(self._leading or (1,)), len(bodies), 8)):
+            own = zip(bodies, rows, strict=True)
+            self._held[copy] = {body: (int(row[0]), Pose.from_tquat(row[1:])) for body, row in own if row[0] >= 0}
+
+    def forget(self, where: CopyIndex) -> None:
+        """Forget what was held in some copies."""
+        self._held = {copy: own for copy, own in self._held.items() if where is not ... and copy not in where}
 
     def look(self, copy: int, joints: NDArray[np.float64]) -> None:
         """See where everything besides the robots is, in one copy, and what they hold.
@@ -293,7 +319,8 @@ class HeldObjects:
         self._model, self._data = model, mujoco.MjData(model)
         bodies = [model.body(name) for name in objects]
         free = mujoco.mjtJoint.mjJNT_FREE
-        self._objects = [b.id for b in bodies if b.jntnum[0] == 1 and model.jnt_type[b.jntadr[0]] == free]
+        self.bodies = [b.id for b in bodies if b.jntnum[0] == 1 and model.jnt_type[b.jntadr[0]] == free]
+        """Ids of the objects that may be held."""
         owners = [model.body(body).name for body in model.geom_bodyid]
         self._hands = [
             np.array(
@@ -302,7 +329,7 @@ class HeldObjects:
             for robot in robots
             if robot.end_effector is not None
         ]
-        self._geoms = {body: np.flatnonzero(model.geom_bodyid == body) for body in self._objects}
+        self._geoms = {body: np.flatnonzero(model.geom_bodyid == body) for body in self.bodies}
 
     def _collides(self, geom: int) -> bool:
         return bool(self._model.geom_contype[geom] or self._model.geom_conaffinity[geom])
@@ -310,12 +337,12 @@ class HeldObjects:
     def find(self, qpos: NDArray[np.float64]) -> Held:
         """Return what is held in a state (nq,)."""
         held: Held = {}
-        if not self._objects:
+        if not self.bodies:
             return held
         model, data = self._model, self._data
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        for body in self._objects:
+        for body in self.bodies:
             for hand in self._hands:
                 fingers = {int(model.geom_bodyid[b]) for a in self._geoms[body] for b in self._near(int(a), hand)}
                 if len(fingers) > 1:
