@@ -60,6 +60,55 @@ def test_a_target_that_something_else_has_set_is_where_the_layer_goes_on() -> No
     assert not layer.info()["is_late"]
 
 
+def gripping(layer: LateActions, gripper: float) -> dict[str, np.ndarray]:
+    """Have an action sent that is not late, with the fingers measured at 0.3 before, and return it."""
+    layer.reset({"joints": np.zeros(1), "gripper": np.full(1, 0.3, np.float32)})
+    layer.share = 0.0
+    action = {"joints": np.ones(1), "gripper": np.full(1, gripper, np.float32)}
+    layer.map_executed(layer.map_action(action))
+    return action
+
+
+OPENING = {"joints": np.full(1, 2.0), "gripper": np.ones(1, np.float32)}
+HELD = {"joints": np.full(1, 7.0), "gripper": np.full(1, 0.3, np.float32)}
+"""Where a robot is measured that holds something with a gripper that was told to close."""
+
+
+def test_after_a_hold_a_late_action_does_not_loosen_the_grip() -> None:
+    layer = LateActions(0.0)
+    gripping(layer, 0.0)
+    layer.rebase(HELD)
+    layer.share = 1.0
+    late = layer.map_action(OPENING)
+    np.testing.assert_array_equal(late["joints"], HELD["joints"])
+    np.testing.assert_array_equal(late["gripper"], [0.0])
+    assert late["gripper"].dtype == np.float32
+
+
+def test_after_a_refusal_a_late_action_does_not_loosen_the_grip() -> None:
+    layer = LateActions(0.0)
+    gripping(layer, 0.0)
+    layer.map_action(OPENING)
+    np.testing.assert_array_equal(layer.map_executed(HELD)["gripper"], HELD["gripper"])  # as layers above see it
+    layer.rebase(HELD)
+    layer.share = 1.0
+    late = layer.map_action(OPENING)
+    np.testing.assert_array_equal(late["joints"], HELD["joints"])
+    np.testing.assert_array_equal(late["gripper"], [0.0])
+
+
+def test_a_gripper_that_closes_while_the_way_of_the_arm_is_cut_goes_on_to_close() -> None:
+    layer = LateActions(0.0)
+    gripping(layer, 1.0)
+    asked = {"joints": np.full(1, 2.0), "gripper": np.zeros(1, np.float32)}
+    layer.map_action(asked)
+    layer.map_executed({**asked, "joints": np.full(1, 1.5)})
+    layer.share = 1.0
+    late = layer.map_action(OPENING)
+    np.testing.assert_array_equal(late["joints"], [1.5])
+    np.testing.assert_array_equal(late["gripper"], [0.0])
+
+
 def test_relative_actions_add_up_although_some_are_late_and_the_executed_action_says_what_was_sent() -> None:
     env: Any = rcs.make("Free", randomisation=Randomisation.off(late_actions=0.3))
     observation, _ = env.reset(seed=1)

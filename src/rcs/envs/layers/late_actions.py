@@ -58,8 +58,11 @@ class LateActions(Layer):
         self._is_late = renew(self._is_late, np.zeros_like(self._is_late), where)
 
     def rebase(self, observation: Observation) -> None:
-        """Take the measured state for what was sent last."""
-        self._last = {key: value.copy() for key, value in _commandable(observation).items()}
+        """Take the measured state for what was sent last, but the last target of a gripper, so that nothing falls."""
+        last = _commandable(observation)
+        if GRIPPER in last and GRIPPER in self._last:
+            last[GRIPPER] = self._last[GRIPPER]
+        self._last = {key: value.copy() for key, value in last.items()}
 
     def map_action(self, action: Action) -> Action:
         """Return the last action in place of a late one."""
@@ -80,13 +83,19 @@ class LateActions(Layer):
         asked, sent, is_late = self._mapped
         if all(executed[key] is value for key, value in sent.items()):
             self._last, self._is_late = asked, is_late
+            above = asked
         else:
             is_as_wanted = np.logical_and.reduce([(executed[key] == value).all(-1) for key, value in sent.items()])
             wanted = is_as_wanted[..., None]
-            self._last = {key: np.where(wanted, asked[key], value) for key, value in executed.items()}
+            above = {key: np.where(wanted, asked[key], value) for key, value in executed.items()}
+            last = dict(above)
+            if GRIPPER in above:  # one that is held goes on to its last target, and so does the next late action
+                is_sent = wanted | (executed[GRIPPER] == sent[GRIPPER])
+                last[GRIPPER] = np.where(is_sent, above[GRIPPER], self._last[GRIPPER])
+            self._last = last
             self._is_late = is_late & is_as_wanted
         self._steps = self._steps + 1
-        return self._last
+        return above
 
     def info(self) -> dict[str, NDArray[Any]]:
         """Return whether the last action was late."""
