@@ -229,8 +229,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         that enters its fault state ends the episode: all devices hold, it is truncated, `info["end"]` is `fault`, and
         `info["faults"]` has the reasons by device; where a device can no longer be measured, the observation is that of
         the step before. A simulation that leaves the range of finite numbers does the same, as `diverged`, with the
-        last good observation. `info["target"]` has the absolute targets of the action, and `info["refused"]` the reason
-        of a gate that let nothing through.
+        last good observation, its time and what the task said of it. `info["target"]` has the absolute targets of the
+        action, and `info["refused"]` the reason of a gate that let nothing through.
         `info["time"]` is the time of the observation [s], and in real time `info["late"]` how late the step ended [s]
         and `info["ages"]` how old each sensor's reading is [s]. `info["clamped"]` counts, by arm and by what was too
         much, the commands since `open` of which a streamed arm has carried out less.

@@ -41,7 +41,10 @@ class Note:
 
 @dataclass(frozen=True, kw_only=True)
 class Transition:
-    """One step of an environment, or the start of an episode."""
+    """One step of an environment, or the start of an episode.
+
+    After a step in which the simulation diverged, observation, state and poses are those of the moment before.
+    """
 
     observation: Observation
     action: Arrays | None

@@ -30,6 +30,7 @@ from rcs.envs.observers.dataset_info import (
     is_derived,
 )
 from rcs.envs.spaces import ORIGIN
+from rcs.envs.step.judge import DIVERGED
 from rcs.errors import InvalidSetup, WrongOrder
 
 END, REASONS = "end", "reasons"
@@ -188,7 +189,7 @@ class Recorder(Observer):
             self._begin(first, seed)
 
     def on_step(self, transition: Transition) -> None:
-        """Record a step.
+        """Record a step; one in which the simulation diverged has no row, for what it led to is lost.
 
         Raises:
             InvalidSetup: A value is not what the dataset has; the row is not recorded, and the episode stays open.
@@ -197,14 +198,16 @@ class Recorder(Observer):
         """
         if self._broken_off and self._episode is not None:
             return  # a state was set; what follows is not what came of the rows so far
+        is_lost = transition.info.get("end") == DIVERGED
         if self._episode is None:
-            if self._next is not None and not self._starts_at_reset:
+            if self._next is not None and not self._starts_at_reset and not is_lost:
                 # What was seen after this step is where the episode starts; what led there is not part of it.
                 self._begin(replace(transition, action=None, executed=None), None)
             return
-        period = transition.time - self._last_time
-        self._last_time = transition.time
-        self._add(transition, period)
+        if not is_lost:
+            period = transition.time - self._last_time
+            self._last_time = transition.time
+            self._add(transition, period)
         if self._names is not None and (transition.terminated or transition.truncated):
             success = transition.info.get("success")
             self.finish(None if success is None else bool(success))

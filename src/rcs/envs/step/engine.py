@@ -108,6 +108,7 @@ class Engine:
                 observation = self.observe_start(copies)
             if self.simulation is not None:
                 info = self.simulation.judge_start(copies)
+            self._judge.note()
         except BaseException as err:
             self._break_off(err)
             raise
@@ -222,8 +223,10 @@ class Engine:
         observation = self.stack.lift(measured)
         collisions: dict[str, Any] | None = None
         failed = self._judge.failed(starting)
+        diverged = self._judge.diverged(failed)
+        if diverged is not None:
+            observation = self._judge.without_diverged(observation, self._last_observation, diverged)
         if failed is not None:
-            observation = self._judge.without_diverged(observation, self._last_observation, failed)
             collisions = self._judge.collisions(failed)
             if any(port.can_fail for port in self.stack.ports):
                 self._hold_in_fault(collisions)  # real devices; in simulation alone, no time passes any more
@@ -238,7 +241,7 @@ class Engine:
         self._last_observation = observation
         if starting is not None:
             observers.on_reset(observation, step.info, self._seeds_of(ids))
-        observers.on_step(step, action, starting)
+        observers.on_step(step, action, starting, diverged)
         if faults := step.info.get("faults", {}):
             self._end_observers(step, faults)
         return step
@@ -285,6 +288,9 @@ class Engine:
             self.observers.on_end("set_state", {"set_state": "A state was set."}, copy=int(copy))
         self._clock.reset()
         self._last_observation = self.stack.lift(self.stack.measure())
+        if self.simulation is not None:
+            self.simulation.evaluate()
+        self._judge.note()
         return self._last_observation
 
     # --- When something goes wrong ------------------------------------------------------------------------------------

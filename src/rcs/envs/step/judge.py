@@ -64,6 +64,8 @@ class Judge:
         self._max_episode_steps = max_episode_steps
         self._leading: tuple[int, ...] = () if simulation is None else simulation.world.leading
         self._ends: NDArray[np.uint8] = clock.ends.reshape(self._leading)
+        self._last_time: Any = None
+        self._last_ages: Mapping[str, Any] = {}
         self.steps: NDArray[np.int64] = np.zeros(self._leading, np.int64)
         """Steps of the present episodes, (*leading,)."""
 
@@ -79,10 +81,19 @@ class Judge:
         failed = failed if starting is None else failed & ~starting
         return failed if failed.any() else None
 
-    def without_diverged(self, new: Observation, last: Observation, failed: NDArray[np.bool_]) -> Observation:
+    def diverged(self, failed: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+        """Return the copies whose simulation diverged, of those that `failed` has returned; None for none."""
+        diverged = None if failed is None else failed & (self._ends == _FAILED)
+        return None if diverged is None or not diverged.any() else diverged
+
+    def without_diverged(self, new: Observation, last: Observation, diverged: NDArray[np.bool_]) -> Observation:
         """Return an observation in which diverged copies have their last observation."""
-        diverged = failed & (self._ends == _FAILED)
-        return _with_rows(new, last, diverged if self._leading else ...) if diverged.any() else new
+        return _with_rows(new, last, diverged if self._leading else ...)
+
+    def note(self) -> None:
+        """Note the time and the ages of the present observation: copies that diverge in the next step keep them."""
+        if self._simulation is not None:
+            self._last_time, self._last_ages = self.time(), self._stack.ages()
 
     def collisions(self, failed: NDArray[np.bool_]) -> dict[str, Any]:
         """Return the reasons for which copies of the simulation failed, as in `Simulation.faults`."""
@@ -108,7 +119,9 @@ class Judge:
         never: Any = np.zeros(self._leading, np.bool_) if self._leading else np.False_
         terminated, truncated = never, never if failed is None else failed
         info: dict[str, Any] = {}
+        time, ages = self.time(), {} if self._clock.is_real else self._stack.ages()
         if self._simulation is not None:
+            judged = self._simulation.judged
             judgement = self._simulation.evaluate()
             info = judgement.info
             if judgement.terminated is not None:
@@ -116,7 +129,11 @@ class Judge:
             lost = np.True_ if faults else np.False_ if failed is None else failed
             if failed is not None or faults:
                 terminated = terminated & ~lost
-            diverged = None if failed is None else failed & (self._ends == _FAILED)
+            if (diverged := self.diverged(failed)) is not None:  # MuJoCo has reset them
+                new = {"info": info, "time": time, "ages": ages}
+                last = {"info": judged, "time": self._last_time, "ages": self._last_ages}
+                info, time, ages = _with_last(new, last, diverged if self._leading else None).values()
+            self._last_time, self._last_ages = time, ages
             rewards = self._simulation.rewards
             reward = rewards.pay(judgement, terminated=terminated, failed=lost, diverged=diverged, starting=starting)
             self._simulation.require_reward(reward, judgement)
@@ -127,11 +144,11 @@ class Judge:
             is_last = (self.steps >= self._max_episode_steps) & ~terminated
             truncated = truncated | (is_last if starting is None else is_last & ~starting)
         if self._leading:
-            info = {**info, **self._stack.info(), "time": self.time(), "end": _END_NAMES[self._ends]}
+            info = {**info, **self._stack.info(), "time": time, "end": _END_NAMES[self._ends]}
         else:
             info = row({**info, **self._stack.info()}, ...)
-            info["time"], info["end"] = self.time().item(), _ENDS.get(self._ends.item(), "")
-        if not self._clock.is_real and (ages := self._stack.ages()):
+            info["time"], info["end"] = time.item(), _ENDS.get(self._ends.item(), "")
+        if ages:
             info["ages"] = ages if self._leading else row(ages, ...)
         info["target"] = copied(self._stack.target)
         if self._clock.is_real:
@@ -182,3 +199,12 @@ def _with_rows(new: Mapping[str, Any], old: Mapping[str, Any], where: Any) -> di
         else:
             value[where] = old[key][where]
     return merged
+
+
+def _with_last(new: Any, last: Any, where: NDArray[np.bool_] | None) -> Any:
+    """Return new info with some rows of the last one, or with all of it for None; what was not in that stays new."""
+    if isinstance(new, dict):
+        return {key: _with_last(value, last[key], where) if key in last else value for key, value in new.items()}
+    if where is None:
+        return last.copy() if isinstance(last, _ARRAYS) else last
+    return np.where(where.reshape(-1, *[1] * (new.ndim - 1)), last, new) if isinstance(new, np.ndarray) else new

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,15 @@ from rcs.envs.step.clock import Clock
 from rcs.envs.step.judge import Step, row
 from rcs.envs.step.simulation import Simulation
 from rcs.envs.step.stack import Stack, for_all
+
+
+class _Moment(NamedTuple):
+    """The part of a transition that is read from simulation and sensors; fields as in `Transition`."""
+
+    capture_times: dict[str, float]
+    device_times: dict[str, float]
+    sim_state: NDArray[np.float64] | None
+    objects: dict[str, NDArray[np.float64]]
 
 
 class Observers:
@@ -27,6 +36,8 @@ class Observers:
         self._is_batch = simulation is not None and bool(simulation.world.leading)
         self._observers: list[tuple[int, Observer]] = []
         self._notes: dict[str, Any] = {}
+        self._last: dict[int, _Moment] = {}
+        """The moments that were shown last, by copy."""
         self.command_time: float | None = None
         """Time at which the targets of the present step were sent [s]."""
         self.after_hold = False
@@ -39,6 +50,8 @@ class Observers:
     def remove(self, observer: Observer) -> None:
         """Show an observer no more steps."""
         self._observers = [(copy, one) for copy, one in self._observers if one is not observer]
+        watched = {copy for copy, _ in self._observers}
+        self._last = {copy: moment for copy, moment in self._last.items() if copy in watched}
 
     def note(self, notes: Mapping[str, Any]) -> None:
         """Add notes to the next step for observers."""
@@ -56,16 +69,28 @@ class Observers:
             if copy in seeds:
                 observer.on_reset(self._transition(copy, observation, info), seeds[copy])
 
-    def on_step(self, step: Step, action: Any, starting: NDArray[np.bool_] | None) -> None:
-        """Show a step of all copies except those that start their next episode instead."""
+    def on_step(
+        self, step: Step, action: Any, starting: NDArray[np.bool_] | None, diverged: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Show a step of all copies except those that start their next episode instead.
+
+        Args:
+            step: The step.
+            action: Its action.
+            starting: Copies that start; None for none.
+            diverged: Copies that show the moment before, since the one after the step is lost; None for none.
+        """
+        lost = () if diverged is None else np.flatnonzero(diverged)
         for copy, observer in self._observers:
-            if starting is None or not starting[copy]:
-                observer.on_step(self._transition(copy, step.observation, step.info, step, action))
+            is_lost = copy in lost
+            if (starting is None or not starting[copy]) and (copy in self._last or not is_lost):
+                observer.on_step(self._transition(copy, step.observation, step.info, step, action, is_lost=is_lost))
         self._notes = {}
 
     def on_end(self, end: str, reasons: Mapping[str, str], *, copy: int | None = None) -> None:
         """End the episodes that observers see, or that of one copy, because they were broken off."""
         ended = [observer for own, observer in self._observers if copy in (None, own)]
+        self._last = {} if copy is None else {own: moment for own, moment in self._last.items() if own != copy}
         for_all([lambda observer=observer: observer.on_end(end, reasons) for observer in ended])
 
     def info(self) -> dict[str, Any]:
@@ -81,16 +106,22 @@ class Observers:
         return [observer.close for _, observer in self._observers]
 
     def _transition(
-        self, copy: int, observation: Observation, info: dict[str, Any], step: Step | None = None, action: Any = None
+        self,
+        copy: int,
+        observation: Observation,
+        info: dict[str, Any],
+        step: Step | None = None,
+        action: Any = None,
+        *,
+        is_lost: bool = False,
     ) -> Transition:
-        simulation = self._simulation
         executed = None if step is None else self._stack.executed
         reward, terminated, truncated = (0.0, False, False) if step is None else _ends(step, copy, self._is_batch)
         if self._is_batch:
             observation, info = row(observation, copy), row(info, copy)
             action = None if action is None else row(action, copy)
             executed = None if executed is None else row(executed, copy)
-        objects = {} if simulation is None else simulation.object_poses()
+        moment = self._last[copy] = self._last[copy] if is_lost else self._moment(copy)
         return Transition(
             observation=observation,
             action=action,
@@ -102,11 +133,21 @@ class Observers:
             time=self._clock.now(),
             command_time=None if step is None else self.command_time,
             after_hold=step is not None and self.after_hold,
-            capture_times=row(self._stack.capture_times(), copy) if self._is_batch else self._stack.capture_times(),
+            capture_times=moment.capture_times,
+            device_times=moment.device_times,
+            sim_state=moment.sim_state,
+            objects=moment.objects,
+            notes=self._notes,
+        )
+
+    def _moment(self, copy: int) -> _Moment:
+        simulation, times = self._simulation, self._stack.capture_times()
+        objects = {} if simulation is None else simulation.object_poses()
+        return _Moment(
+            capture_times=row(times, copy) if self._is_batch else times,
             device_times={} if self._is_batch else self._stack.device_times(),
             sim_state=None if simulation is None else simulation.world.core.get_state(copy),
             objects=row(objects, copy) if self._is_batch else objects,
-            notes=self._notes,
         )
 
 

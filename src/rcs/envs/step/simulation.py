@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,8 @@ class Simulation:
         self.task = task
         self.rewards = Rewards(world, robots, reward, discount)
         """Pays for each step."""
+        self.judged: Mapping[str, Any] = {}
+        """The task's info on the state that was judged last."""
         task.bind(world, robots)
         self._clutter = clutter
         if clutter is not None:
@@ -149,6 +152,7 @@ class Simulation:
         judgement = self.task.evaluate()
         if not isinstance(judgement, Judgement):
             raise InvalidSetup(f"{type(self.task).__name__}.evaluate returned {judgement!r}; valid is a Judgement.")
+        self.judged = judgement.info
         return judgement
 
     def require_reward(self, reward: NDArray[np.float64], judgement: Judgement) -> None:
