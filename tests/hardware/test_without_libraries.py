@@ -182,7 +182,7 @@ class LooseServos:
     """The servos of an SO101, of which one does not answer when it is switched on."""
 
     calibration = dict.fromkeys(range(1, 7), MotorCalibration(
-        id=1, drive_mode=0, homing_offset=0, range_min=1000, range_max=3000
+        id=1, drive_mode=0, homing_offset=0, range_min=0, range_max=4000
     ))  # fmt: skip
 
     def __init__(self) -> None:
