@@ -44,6 +44,8 @@ NO_CUTOFF: Final = 1000.0
 """Cutoff frequency at which the library's low-pass filter is off [Hz]; libfranka, lowpass_filter.h."""
 SILENCE: Final = 0.2
 """Age of the last state from which the controller counts as silent [s]; it sends one every millisecond."""
+REASON_TIME: Final = 0.02
+"""Longest wait for a state with the reason of a motion's end, which the library reports before [s]."""
 
 # Joints 1 to 4: libfranka, examples/joint_impedance_control.cpp. The wrist is light and has more stiffness and less
 # damping than in that example, so that it follows within 0.1 s instead of 0.3 s (our choice).
@@ -187,6 +189,10 @@ class FrankaArm(StreamedArm):
         state = self._fresh_state()
         if self._motion is not None and not self._robot.is_in_control:
             self._problem = self._forget_motion() or "the controller ended the motion without giving a reason"
+            until = time.monotonic() + REASON_TIME
+            while not fault_of(state, self._about.joints) and time.monotonic() < until:
+                time.sleep(1e-3)  # the next state names the joint
+                state = self._fresh_state()
         self._problem = fault_of(state, self._about.joints) or self._problem
         if self._problem and not self._is_led and not self.fault:
             self.set_fault(self._problem)
