@@ -90,7 +90,7 @@ def folder() -> Path:
         InvalidSetup: It cannot be made, or another user owns it or may enter it.
     """
     # The same for every program of a user: /run/user is there only while somebody is logged in, and TMPDIR may differ.
-    path = Path(os.environ.get(FOLDER) or f"/tmp/rcs-{os.getuid()}")
+    path = Path(os.environ.get(FOLDER) or Path(os.sep, "tmp", f"rcs-{os.getuid()}"))
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as err:
