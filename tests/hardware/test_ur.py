@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Generator, Iterator
 
@@ -178,56 +176,6 @@ def test_an_arm_that_is_switched_off_is_read_and_not_commanded(arm: Arm, virtual
     assert arm.fault == ""
     arm.command_joints(arm.state().joints)
     assert "switch it on at the pendant" in wait_for_fault(arm)
-
-
-SECOND = """
-import sys, time
-from rcs.hardware.ur import UrDriver
-from rcs.robots import UR5E
-with UrDriver().arm(sys.argv[1], UR5E, {"rate": 125}) as arm:
-    arm.command_joints(arm.state().joints)
-    while not arm.fault:
-        time.sleep(0.01)
-    print(arm.fault)
-"""
-
-
-def test_a_second_program_is_refused_and_the_first_goes_on(arm: Arm) -> None:
-    arm.command_joints(arm.state().joints)
-    wait_until(lambda: answer("running") == "Program running: true")
-    second = subprocess.run([sys.executable, "-c", SECOND, ADDRESS], capture_output=True, text=True, check=True)
-    assert "a program already runs" in second.stdout
-    assert arm.fault == ""
-    assert answer("running") == "Program running: true"
-
-
-ORPHAN = """
-import sys, time
-from rcs.hardware.ur import UrDriver
-from rcs.robots import UR5E
-arm = UrDriver().arm(sys.argv[1], UR5E, {"rate": 125, "watchdog": 5})
-arm.open()
-arm.command_joints(arm.state().joints + 0.19)
-start = arm.state().joints
-while abs(arm.state().joints[0] - start[0]) < 0.03 and not arm.fault:
-    time.sleep(0.002)
-print(arm.fault or "moves", flush=True)
-time.sleep(60)
-"""
-
-
-def test_an_arm_whose_program_is_killed_stops_by_itself(virtual: VirtualProcess) -> None:
-    program = subprocess.Popen([sys.executable, "-c", ORPHAN, ADDRESS], stdout=subprocess.PIPE, text=True)
-    assert program.stdout is not None
-    assert program.stdout.readline() == "moves\n"
-    program.kill()
-    program.wait()
-    wait_until(lambda: answer("running") == "Program running: false", 1.0)
-    with UrDriver().arm(ADDRESS, UR5E, CALM) as arm:
-        time.sleep(0.5)
-        before = arm.state().joints
-        time.sleep(0.2)
-        assert arm.state().joints == pytest.approx(before, abs=1e-3)
 
 
 def test_an_environment_of_a_virtual_robot_moves_arm_and_gripper(virtual: VirtualProcess) -> None:

@@ -279,7 +279,6 @@ def test_an_arm_whose_controller_refuses_its_tcp_does_not_start(monkeypatch: pyt
     with pytest.raises(DeviceFault, match=r"refuses the TCP .*option `tcp`"):
         xarm._enter(1)
     arm: Any = UrArm("192.0.2.1", UR5E, tcp)
-    monkeypatch.setattr(ur, "stop_program", lambda _: None)
     monkeypatch.setattr(ur, "require_ready_for_program", lambda _: None)
     monkeypatch.setattr(ur, "package_of", lambda *_: None)
     arm._receive = SimpleNamespace(getRuntimeState=lambda: 2)

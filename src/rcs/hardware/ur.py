@@ -126,6 +126,7 @@ class UrArm(StreamedArm):
         self._end = ""  # function that ends the script's thread in control of the joints
         self._is_led = False
         self._is_given_way = False
+        self._may_run = False  # whether a script of this driver may run on the controller
         self._device_time = math.nan
         self._heard = 0.0
         self._offset = 0.0
@@ -220,10 +221,9 @@ class UrArm(StreamedArm):
         Raises:
             DeviceFault: The arm is not ready, or another program controls it.
         """
-        if self._control is not None:
-            stop_program(self._address)  # a script of our own may still run
         require_ready_for_program(self._address)
         control = package_of("ur", "rtde_control", "The driver `ur` needs")
+        self._may_run = True
         try:
             if self._control is None:
                 self._control = control.RTDEControlInterface(self._address, 500.0)
@@ -242,6 +242,12 @@ class UrArm(StreamedArm):
             raise DeviceFault(f"{self._address}: the controller refuses the TCP {self._tcp}; see the option `tcp`")
         if not self._control.setWatchdog(self._watchdog):
             raise DeviceFault(f"{self._address}: the controller refuses the watchdog")
+
+    def _stop_program(self) -> None:
+        """Stop the control script, and no program of somebody else."""
+        if self._may_run:
+            stop_program(self._address)
+            self._may_run = False
 
     def _write(self, point: StreamPoint) -> None:
         self._ramp = None
@@ -314,7 +320,7 @@ class UrArm(StreamedArm):
     def _stop(self) -> None:
         self._is_led = self._is_given_way = False
         if not self._is_silent:  # otherwise the watchdog stops it
-            stop_program(self._address)
+            self._stop_program()
 
     def _can_guide(self) -> bool:
         return True
@@ -333,8 +339,7 @@ class UrArm(StreamedArm):
 
     def _clear(self) -> None:
         self._is_led = self._is_given_way = False
-        if self._control is not None:
-            stop_program(self._address)  # commands from before the fault do not count
+        self._stop_program()  # commands from before the fault do not count
         unlock(self._address)
         if self._receive is None:  # an earlier attempt failed while it connected
             return self._open()

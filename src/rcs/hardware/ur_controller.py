@@ -18,6 +18,8 @@ RTDE_VERSION: Final = 2
 """Version of RTDE that ur-rtde speaks."""
 PATIENCE: Final = 2.0
 """Timeout for the answers on all ports together [s]."""
+_ENDS: Final = 0.3
+"""Timeout for the end of a program that has been stopped [s]; our choice."""
 
 _PURPOSE = {DASHBOARD: "dashboard", SCRIPT: "script port", RTDE: "RTDE"}
 
@@ -113,10 +115,14 @@ def require_ready_for_program(address: str) -> None:
                 f"{address}: the controller is in local control; choose Remote Control at the top right of the pendant "
                 "(it must be enabled in Settings > System > Remote Control)"
             )
-        if dashboard.ask("running").lower().endswith("true"):
-            raise DeviceFault(
-                f"{address}: a program already runs on the controller, from the pendant or another computer; stop it"
-            )
+        until = time.monotonic() + _ENDS
+        while dashboard.ask("running").lower().endswith("true"):
+            if time.monotonic() > until:
+                raise DeviceFault(
+                    f"{address}: a program already runs on the controller, from the pendant or another computer; stop "
+                    "it"
+                )
+            time.sleep(0.01)
 
 
 SAFETY_WORDS: Final = {
