@@ -191,12 +191,10 @@ class Session(Closing):
         Raises:
             InvalidSetup: There is no agent, and the task has no expert; or it does not fit the environment.
         """
+        self._end_agent()
         if is_acting:
-            self._end_agent()
             self._pace = Pace(self.env, agent_for(self.env, self._actor))
             self._begin(self.seed, None)
-        else:
-            self._end_agent()
 
     def let_keys(self, keys: InputDevice | None, robot: str = "") -> None:
         """Have keys of the page lead a robot from where it is, or its targets and sliders again.
