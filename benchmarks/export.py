@@ -29,7 +29,8 @@ from rcs_data.convert.options import ExportOptions, VideoCodec
 from rcs_data.read.trajectory import camera_features, step_frames
 
 import rcs
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 
 # Bare encoding takes a sample of episodes: it does not depend on their number.
 SAMPLE = 20

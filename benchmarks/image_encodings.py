@@ -36,7 +36,8 @@ from rcs_data.files.feature import Colour
 from rcs_data.files.frames_file import FramesFile, FramesWriter
 
 import rcs
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 
 KEY = "observation/frames/camera/rgb"
 MODES = ("224x224", "640x480")

@@ -49,7 +49,8 @@ from rich.progress import track
 from rcs.envs.observer import Observer, Transition
 from rcs.envs.setup import Setup
 from rcs.errors import DatasetError
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.setups.make import make
 
 FPS = 30.0

@@ -39,7 +39,8 @@ from rcs_data.read.torch import TorchDataset
 from rcs_data.read.trajectory import step_frames
 
 import rcs
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 
 
 @dataclass(kw_only=True)

@@ -28,7 +28,8 @@ from rcs_data.convert.options import ExportOptions
 from vlagents.policies import catalogue
 
 import rcs
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 
 HERE = Path(__file__).parent
 PLACE = HERE.parents[1] / "build" / "peers" / "lerobot"

@@ -19,7 +19,7 @@ from vlagents import Metadata, Observation, PartSpec, Server
 from vlagents.policies.scripted import ScriptedPolicy
 
 from rcs.cli.main import main
-from rcs.rollout.collect import seed_of
+from rcs.rollout.collection import seed_of
 from rcs.rollout.evaluation import UNSEEN
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "16_policy.py"

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from rich.console import Console
 
 from rcs.cli.runs import show
-from rcs.rollout.collect import Attempt
+from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import EpisodeResult
 from rcs.rollout.evaluation import Summary
 

@@ -24,7 +24,7 @@ from rcs.agents.identity import identity_of
 from rcs.cli.main import main
 from rcs.cli.sweep import checkpoints_in, name_of, wait_for_others
 from rcs.errors import RcsError
-from rcs.rollout.collect import Attempt
+from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import EpisodeResult
 from rcs.rollout.evaluate import evaluate
 from rcs.rollout.evaluation import Evaluation, Summary

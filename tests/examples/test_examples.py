@@ -10,7 +10,8 @@ import pytest
 
 import rcs
 from rcs.devices import lookup
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.setups.lab import lab_of
 
 ROOT = Path(__file__).parents[2]

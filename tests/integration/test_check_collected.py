@@ -8,7 +8,8 @@ import pytest
 from rcs_data import check
 
 import rcs
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 
 SETUPS = {
     "fr3": {"cameras": rcs.Cameras(names=("wrist", "side"), image_size=64, depth=True)},

@@ -12,7 +12,7 @@ import pytest
 import rcs
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.rl import RECIPES, Ppo, Training, recipe_for
-from rcs.rollout.collect import seed_of
+from rcs.rollout.collection import seed_of
 
 PICK = RECIPES["PickCuboid", "ppo"]
 TRAININGS = [

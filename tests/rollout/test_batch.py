@@ -12,7 +12,7 @@ import rcs
 from rcs.agents import Agent
 from rcs.errors import InvalidSetup
 from rcs.rollout.batch import run_batch
-from rcs.rollout.collect import seed_of
+from rcs.rollout.collection import seed_of
 from rcs.rollout.episode import EpisodeResult, run_episode
 
 SETUP = rcs.Setup(task="PickCuboid", control="xyzrpy", max_episode_steps=34, observe=("privileged",))

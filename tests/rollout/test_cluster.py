@@ -11,7 +11,8 @@ import pytest
 import rcs
 from rcs.cli.main import main
 from rcs.errors import InvalidSetup, MissingDependency
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.evaluate import evaluate
 from rcs.rollout.evaluation import Evaluation
 from rcs.rollout.ray_pool import RayPool, connected

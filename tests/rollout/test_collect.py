@@ -24,14 +24,16 @@ from rcs.agents import Agent
 from rcs.envs import Action, Env, Observation
 from rcs.envs.observer import Note
 from rcs.errors import DatasetError, InvalidSetup, RcsError
-from rcs.rollout.collect import Collection, Progress, collect, episode_id
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress, episode_id
 from rcs.rollout.recorded_setup import setup_of
 from rcs.rollout.replay import replay
 
 COLLECT = """
 import sys, rcs
 from pathlib import Path
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 for _ in collect(Collection(setup=rcs.Setup(), out=Path(sys.argv[1]), episodes=3, seed=7), Progress()):
     pass
 """

@@ -15,7 +15,8 @@ from rcs_data.edit import Part, mix
 import rcs
 from rcs.envs.spaces import join_robots, robot_prefixes, split_by_robot
 from rcs.errors import InvalidSetup
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.recorded_setup import setup_of
 from rcs.rollout.reexecute import reexecute
 from rcs.rollout.replay import replay

@@ -14,49 +14,23 @@ from typing import Any
 
 import pytest
 from rcs_data import Dataset, DatasetWriter
-from rcs_data.ledger import Ledger, Pairs, Row
+from rcs_data.ledger import Ledger, Row
 from rcs_data.ledger.row import TIMES
 from rcs_data.read.verdicts import wilson_interval
 from rich.console import Console
 
 import rcs
-from rcs.agents import Agent
 from rcs.agents.identity import identity_of
 from rcs.cli.runs import results_table
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup, RcsError, UnknownName, WrongOrder
-from rcs.rollout.collect import Attempt, seed_of
-from rcs.rollout.episode import EpisodeResult
+from rcs.rollout.collection import seed_of
 from rcs.rollout.evaluate import Evaluator, evaluate, film
 from rcs.rollout.evaluation import UNSEEN, Evaluation, Summary
-from rcs.rollout.logbook import Logbook, condition_of, differs
+from rcs.rollout.logbook import condition_of, differs
 from rcs.setups import labs
-
-SETUP = rcs.Setup(task="PickCuboid", max_episode_steps=4)
-"""Episodes that end before anything is picked."""
-
-
-class Stay(Agent):
-    """Keeps every joint and every gripper where it is."""
-
-    def __init__(self, env: Any) -> None:
-        self._action = env.action_space.sample()
-        self._action["joints"][:] = 0.0
-        self._action["gripper"][:] = 1.0
-
-    def reset(self, observation: Any, info: Any) -> None:
-        """Nothing to forget."""
-
-    def act(self, observation: Any, info: Any) -> Any:
-        return self._action
-
-
-def run(**options: Any) -> Summary:
-    summary = Summary()
-    for _ in evaluate(Evaluation(**{"setup": SETUP, "agent": Stay, "episodes": 3, **options}), summary):
-        pass
-    return summary
+from tests.rollout.staying import SETUP, Stay, run
 
 
 def test_the_expert_succeeds_and_who_stays_does_not() -> None:
@@ -254,7 +228,7 @@ def test_two_agents_and_four_processes_lose_and_overwrite_nothing(tmp_path: Path
 import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
-from test_evaluate import SETUP, Stay
+from staying import SETUP, Stay
 from rcs.rollout import Evaluation, evaluate
 name, out = sys.argv[1], Path({str(tmp_path / "together")!r})
 agent = Stay if name == "idle" else "PickExpert"
@@ -324,46 +298,6 @@ def test_an_episode_in_which_the_policy_was_lost_has_neither_row_nor_recording(t
 def test_an_early_end_needs_a_level_another_agent_and_a_ledger(options: Any) -> None:
     with pytest.raises(InvalidSetup, match="until"):
         Evaluation(setup=SETUP, **options)
-
-
-def test_only_episodes_before_the_first_that_runs_decide(tmp_path: Path) -> None:
-    run(out=tmp_path, episodes=8, agent=None, setup=rcs.Setup(task="PickCuboid", max_episode_steps=150))
-    evaluation = Evaluation(
-        setup=SETUP, agent=Stay, episodes=8, out=tmp_path, against="PickExpert", until=0.05, name="idle"
-    )
-    identity = identity_of(Stay, "PickCuboid")
-    with Logbook(evaluation, identity, condition_of(evaluation, identity)) as book:
-        failed = EpisodeResult(seed=0, steps=4, success=False, failure="timeout", reward=0.0)
-        summary = Summary(attempts=[Attempt(number=number, result=failed) for number in range(1, 8)])
-        assert not book.is_decided(summary), "episode 0 may still succeed"
-        summary.attempts.append(Attempt(number=0, result=failed))
-        assert book.is_decided(summary)
-        assert book.pairs.only_b == 7
-
-
-def test_episodes_that_other_processes_have_written_decide_too(tmp_path: Path) -> None:
-    identity = identity_of(Stay, "PickCuboid")
-    better = Evaluation(setup=SETUP, agent=Stay, episodes=8, out=tmp_path, name="better")
-    idle = replace(better, name="idle", against="better", until=0.05)
-    done = EpisodeResult(seed=0, steps=4, success=True, failure=None, reward=0.0)
-    failed = [Attempt(number=number, result=replace(done, success=False, failure="timeout")) for number in range(8)]
-    with Logbook(better, identity, condition_of(better, identity)) as book:
-        for number in range(8):
-            book.add(Attempt(number=number, result=done))
-    condition = condition_of(idle, identity)
-    with Logbook(idle, identity, condition) as other, Logbook(idle, identity, condition) as mine:
-        summary = Summary()
-        for attempt in failed[1::2]:
-            mine.add(attempt)
-            summary.attempts.append(attempt)
-        assert not mine.is_decided(summary), "episode 0 still runs elsewhere"
-        for attempt in failed[::2]:
-            other.add(attempt)
-        mine.ledger.refresh()
-        assert mine.is_decided(summary)
-        assert list(mine.missing(summary)) == []
-    list(evaluate(idle, summary := Summary()))
-    assert (summary.found, summary.pairs) == (8, Pairs(only_b=7)), "what came after the decision does not count"
 
 
 @pytest.mark.gl

@@ -16,7 +16,8 @@ from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 
 import rcs
 from rcs.errors import InvalidSetup
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.recorded_setup import setup_of
 from rcs.rollout.reexecute import ReexecutionResult, reexecute
 from rcs.rollout.replay import replay

@@ -19,7 +19,8 @@ from rcs.envs import Action, Observation
 from rcs.errors import InvalidSetup
 from rcs.hardware import FakeDriver, Site
 from rcs.robots.description import ArmDescription, GripperDescription
-from rcs.rollout.collect import Collection, Progress, collect, seed_of
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress, seed_of
 from rcs.rollout.episode import run_episode
 from rcs.rollout.placing import Placer, PlacesInSimulation, Poses, SeededScene, deviation
 from rcs.rollout.reexecute import reexecute

@@ -10,7 +10,8 @@ from rcs_data import Dataset
 
 import rcs
 from rcs.agents import agent_for
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.episode import run_episode
 from rcs.rollout.recorded_setup import setup_of
 from rcs.rollout.replay import replay

@@ -22,7 +22,8 @@ from rcs.agents import Agent, agent_for
 from rcs.envs.env import Env
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout import ray_pool
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.evaluate import evaluate, film
 from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.ray_pool import RayPool

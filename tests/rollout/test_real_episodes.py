@@ -21,7 +21,8 @@ from rcs.errors import DeviceFault, InvalidSetup, RcsError, Refused
 from rcs.hardware import FakeDriver, Site
 from rcs.robots.description import ArmDescription
 from rcs.robots.fr3 import FR3
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.real_episodes import _Informed
 from rcs.rollout.supervisor import VirtualSupervisor, supervisor_of
 from rcs.virtual import VirtualProcess

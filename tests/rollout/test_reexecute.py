@@ -13,7 +13,8 @@ from rcs_data.edit import merge, resample
 
 import rcs
 from rcs.errors import DatasetError, InvalidSetup
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.reexecute import ReexecutionResult, deviation, reexecute
 from rcs.rollout.replay import replay
 

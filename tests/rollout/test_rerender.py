@@ -12,7 +12,8 @@ from rcs_data import Dataset, EpisodeRecord, compare_steps
 import rcs
 from rcs.cli.setup_options import changed
 from rcs.errors import DatasetError, InvalidSetup
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.recorded_setup import physics_of, setup_of
 from rcs.rollout.replay import replay
 from rcs.rollout.rerender import is_of_camera, rerender

@@ -23,7 +23,8 @@ from rcs.kinematics import load
 from rcs.robots.description import ArmDescription, GripperDescription, MenagerieBody, MenagerieVisuals, Mount
 from rcs.robots.fr3 import FR3
 from rcs.robots.franka_hand import FRANKA_HAND
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.replay import replay
 from rcs.sim import RobotPlacement, Scene
 from rcs.sim.detail import exchange_visuals

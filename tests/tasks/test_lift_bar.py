@@ -12,7 +12,8 @@ from rcs_data import Dataset
 import rcs
 from rcs.agents import agent_for
 from rcs.errors import InvalidAction, InvalidSetup
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay
 from rcs.testing.env_contract import require_same_bits

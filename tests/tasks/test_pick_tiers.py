@@ -13,7 +13,8 @@ import rcs
 from rcs.agents import agent_for
 from rcs.envs.task import Area
 from rcs.errors import InvalidSetup
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay
 from rcs.setups import lab_of

@@ -13,7 +13,8 @@ import rcs
 from rcs.agents import ToyExpert
 from rcs.envs.env import Env
 from rcs.errors import InvalidSetup, WrongOrder
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay
 from rcs.testing.env_contract import require_same_bits

@@ -14,7 +14,8 @@ from rcs.agents.push import Tip
 from rcs.devices import lookup
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay
 from rcs.spatial import compose

@@ -14,7 +14,8 @@ import rcs
 from rcs.agents import agent_for
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.variation.randomiser import Randomiser
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay
 from rcs.sim import Scene, World

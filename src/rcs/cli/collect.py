@@ -18,7 +18,8 @@ from rcs.cli.runs import PoolOptions, interruptible, results_table, show
 from rcs.cli.setup_options import SetupOptions, cameras_of, flags
 from rcs.envs.setup import Setup
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.rollout.collect import Collection, Kept, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Kept, Progress
 from rcs.rollout.evaluation import Summary
 from rcs.rollout.placing import is_placed_by_robot
 from rcs.rollout.supervisor import Supervisor, TerminalSupervisor, VirtualSupervisor, supervisor_of

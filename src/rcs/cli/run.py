@@ -28,7 +28,7 @@ from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.policy import NOTES, Execution, ServedPolicy, fitted
 from rcs.rollout.blind import evaluate_blind
-from rcs.rollout.collect import Attempt
+from rcs.rollout.collection import Attempt
 from rcs.rollout.evaluate import evaluate
 from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.foreign import ForeignEnv

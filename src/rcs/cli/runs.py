@@ -21,7 +21,7 @@ from rich.table import Table
 
 from rcs.agents.agent import is_path
 from rcs.errors import InvalidSetup
-from rcs.rollout.collect import Attempt
+from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import EpisodeResult
 from rcs.rollout.evaluate import evaluate, film
 from rcs.rollout.evaluation import Evaluation, Summary

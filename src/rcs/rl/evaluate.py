@@ -15,7 +15,7 @@ from rcs.rl.checkpoint import Score
 from rcs.rl.policy import PolicyAgent
 from rcs.rl.training import Training
 from rcs.rollout.batch import run_batch
-from rcs.rollout.collect import Attempt
+from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import run_episode
 from rcs.rollout.evaluate import evaluate
 from rcs.rollout.evaluation import Evaluation, Summary

@@ -45,7 +45,7 @@ from rcs.rl.metrics import EPISODES, JUDGED, LENGTH, RATE, REWARD, SPEED, SUCCES
 from rcs.rl.networks import mean_action
 from rcs.rl.policy import PolicyAgent
 from rcs.rl.training import Dagger, Training
-from rcs.rollout.collect import Attempt
+from rcs.rollout.collection import Attempt
 from rcs.setups.make import make_vec, resolve
 from rcs.tasks.free import Free
 

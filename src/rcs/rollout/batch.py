@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from rcs.agents import Agent
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
-from rcs.rollout.collect import Attempt
+from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import EpisodeResult, is_open, stages_of, verdict
 
 

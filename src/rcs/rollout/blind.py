@@ -16,7 +16,7 @@ from rcs.agents.identity import Identity, identity_of
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup
-from rcs.rollout.collect import Attempt
+from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import Judge
 from rcs.rollout.evaluate import Evaluator, correct
 from rcs.rollout.evaluation import Evaluation, Summary

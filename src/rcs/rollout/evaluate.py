@@ -21,7 +21,7 @@ from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.envs.step.stack import for_all
-from rcs.rollout.collect import Attempt, episode_id
+from rcs.rollout.collection import Attempt, episode_id
 from rcs.rollout.episode import SIMULATOR, Answer, EpisodeResult, Judge, run_episode
 from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.logbook import Logbook, condition_of, differs

@@ -16,7 +16,7 @@ from rcs.agents.identity import Identity
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.rollout.collect import Attempt, seed_of
+from rcs.rollout.collection import Attempt, seed_of
 from rcs.rollout.episode import EpisodeResult
 from rcs.rollout.foreign import ForeignEnv, ForeignSimulator
 from rcs.setups.make import make

@@ -21,7 +21,7 @@ from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import versions
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, RcsError
-from rcs.rollout.collect import Attempt
+from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import Answer, EpisodeResult
 from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.setups.resolve import resolve, with_camera_names

@@ -9,7 +9,7 @@ from rcs_data.files.durable import disk_errors, sync_folder
 from rcs_data.ledger import Ledger, Row
 
 from rcs.errors import InvalidSetup
-from rcs.rollout.collect import episode_id
+from rcs.rollout.collection import episode_id
 from rcs.rollout.video import Video
 
 

@@ -19,7 +19,8 @@ from rcs.robots.description import Mount
 from rcs.robots.fr3 import FR3
 from rcs.robots.franka_hand import FRANKA_HAND
 from rcs.robots.tactile import DIGIT
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import collect
+from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.replay import replay
 from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
 from rcs.sim.camera import SimCameras
