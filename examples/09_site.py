@@ -45,7 +45,7 @@ class Circle(Agent):
 
 
 def judge(observation: Observation, info: Mapping[str, Any]) -> bool:
-    """Say whether the task was done; `rcs.rollout.ask` asks the person at the terminal instead."""
+    """Say whether the task was done; `rcs.rollout.PersonJudge()` asks the person at the terminal instead."""
     return bool(abs(observation["tquat"][1]) < 0.05)
 
 
@@ -64,9 +64,9 @@ with tempfile.TemporaryDirectory() as folder:
                 recorder.finish(result.success)
                 print(f"take {take}: {result.steps} steps, success {result.success}")
 
-    faults = [finding for finding in check(out).findings if finding.severity == "error"]
+    damage = check(out).damage
     report = export_lerobot(Dataset.open(out), Path(folder) / "lerobot")
-    print(f"{len(faults)} errors found; exported {report.episodes} episodes, {report.frames} images")
+    print(f"{len(damage)} findings of damage; exported {report.episodes} episodes, {report.frames} images")
 
     # One arm real, the other simulated next to it in real time, with the same program.
     with rcs.make("Free", robot="dual_fr3", hardware={"left": "fake"}) as env:

@@ -2,7 +2,7 @@
 
 The wrist camera of this lab is some millimetres and degrees off the pose in its file, as after a bump. The arm starts
 from that pose, looks at the board on the table, and calibrates. With a real robot, pass `hardware=` to `rcs.make` and a
-function that asks a person before each motion, `confirm=`, to `calibrate`.
+function that asks a person before each motion, `confirm=`, to `look_around`.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def test_cuboids_are_picked_recorded_at_30_hz_and_picked_again_in_simulation(tmp
         for _ in collect(collection(virtual, tmp_path / "real", 2), progress):
             pass
     assert [attempt.result.success for attempt in progress.attempts] == [True, True]
-    assert not [finding for finding in check(tmp_path / "real").findings if finding.severity == "error"]
+    assert not check(tmp_path / "real").damage
     for episode in Dataset.open(tmp_path / "real").episodes:
         periods = np.diff(episode.column("time/monotonic"))
         assert np.median(periods) == pytest.approx(1 / 30, rel=0.02)
