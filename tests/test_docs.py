@@ -138,6 +138,14 @@ def test_the_search_of_the_site_shows_what_people_wrote_before_the_reference() -
         assert boost is not None and float(boost[1]) < 0.5
 
 
+def test_every_package_that_exports_names_has_a_page_in_the_reference() -> None:
+    site: Any = tool("site_pages")
+    sources = [ROOT / "src", *(ROOT / "packages").glob("*/src")]
+    stubs = [(source, stub.parent) for source in sources for stub in source.rglob("__init__.pyi")]
+    exporting = [".".join(package.relative_to(source).parts) for source, package in stubs]
+    assert exporting and [package for package in exporting if package not in site.PACKAGES] == []
+
+
 def test_every_public_name_has_a_place_in_the_reference() -> None:
     site: Any = tool("site_pages")
     text = "\n".join(site.reference().values())

@@ -16,7 +16,7 @@ PACKAGES = (
     "rcs", "rcs.envs", "rcs.envs.layers", "rcs.tasks", "rcs.agents", "rcs.teleop", "rcs.rollout", "rcs.rl",
     "rcs.devices", "rcs.hardware", "rcs.virtual", "rcs.calibration", "rcs.policy", "rcs.setups", "rcs.robots",
     "rcs.kinematics", "rcs.planning", "rcs.sim", "rcs.spatial", "rcs.testing", "rcs.errors", "rcs_data",
-    "rcs_data.edit", "rcs_data.convert", "rcs_data.read.torch", "vlagents",
+    "rcs_data.check", "rcs_data.edit", "rcs_data.convert", "rcs_data.ledger", "rcs_data.read.torch", "vlagents",
 )  # fmt: skip
 
 BEHIND_GUIDES = "---\nsearch: { boost: 0.1 }\n---\n\n"
