@@ -1,4 +1,4 @@
-# make demo          build, install into .venv, collect episodes of Pick-Cuboid with the scripted FR3, and say where the report is
+# make demo          build, install into .venv, collect episodes of PickCuboid with the scripted FR3, and say where the report is
 # make test          build, install, run the tests of C++ and Python, on all cores; a few minutes
 # make test-all      the same with the tests that take more than ten seconds and with the coverage; test-extras
 # make test-extras   the tests that need torch, Stable-Baselines3, Ray, Pinocchio, OMPL, OpenCV, mujoco-menagerie or a browser;

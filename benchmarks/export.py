@@ -1,6 +1,6 @@
 """Compare the images per second of an export to LeRobot v3.0 with bare encoding of the same images, in the same run.
 
-Collects episodes of Pick-Cuboid with two cameras of 224 x 224 pixels and exports them. The reference is PyAV with the
+Collects episodes of PickCuboid with two cameras of 224 x 224 pixels and exports them. The reference is PyAV with the
 same codec and settings, given images that are decoded already, an episode at a time: what no export could be faster
 than. Then every video is decoded again and compared.
 

@@ -1,4 +1,4 @@
-"""Pick-Cuboid of this project: `rcs_pick.py [pixels]`, 32 copies with joint actions, or 24 with a camera of 84 px."""
+"""PickCuboid of this project: `rcs_pick.py [pixels]`, 32 copies with joint actions, or 24 with a camera of 84 px."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ HALF_LOW, HALF_HIGH = (0.012, 0.012, 0.010), (0.028, 0.028, 0.032)
 """Half the extents of a distractor along x, y, z [m]: from coins to cans. The tallest end below the palm of a gripper
 that grasps."""
 DENSITY = 450.0
-"""Density of objects printed in PLA with a usual infill, about that of Pick-Cuboid's cuboid [kg/m³]."""
+"""Density of objects printed in PLA with a usual infill, about that of PickCuboid's cuboid [kg/m³]."""
 GAP = 0.01
 """Least free space around a distractor [m]."""
 GREENS = (70.0, 180.0)

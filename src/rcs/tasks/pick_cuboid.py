@@ -1,4 +1,4 @@
-"""Pick-Cuboid, the paper's task: grasp a cuboid that lies anywhere in the workspace, lift it and hold it."""
+"""PickCuboid, the paper's task: grasp a cuboid that lies anywhere in the workspace, lift it and hold it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ POSES = {
 
 
 class PickOptions(LiftOptions):
-    """Options of Pick-Cuboid; each from `distractors` to `obstacles` makes it harder, and they combine."""
+    """Options of PickCuboid; each from `distractors` to `obstacles` makes it harder, and they combine."""
 
     distractors: Annotated[int, Meta(ge=0, le=MOST_DISTRACTORS)] = 0
     """How many boxes and cylinders of random sizes and colours, none of them green, lie around the cuboid, 0 to 16."""
