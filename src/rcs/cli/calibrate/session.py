@@ -109,4 +109,4 @@ def _print_progress(strategy: CalibrationStrategy, is_of_use: bool) -> None:
 def _ask(start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
     turns = ", ".join(f"{turn:+.0f}" for turn in np.rad2deg(end - start))
     question = f"Next pose: joints turn by {turns} degrees. Is the way free? [y]es, [n]ext: "
-    return plain_console().input(question).lower() == "y"
+    return plain_console().input(question).strip().lower() in ("y", "yes")
