@@ -18,7 +18,7 @@ from rcs.setups.ids import ids
 
 @dataclass(kw_only=True)
 class ListCommand:
-    """List robots, end effectors, cameras, tasks and environment ids."""
+    """List robots, end effectors, sensors, tasks, agents, input devices, layers, gates, drivers and environment ids."""
 
     cameras: bool = False
     """List the modes of cameras instead, with focal length and depth range."""

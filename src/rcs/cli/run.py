@@ -60,8 +60,8 @@ class RunCommand(SetupOptions):
     """
 
     policy: str
-    """Address of the policy: `vla://host:port`, `vlas://`, `ws://` or `wss://`. The environment variable
-    `VLAGENTS_TOKEN` has the token."""
+    """Address of the policy: `vla://host:port`, `vlas://`, `ws://`, `wss://`, `gr00t://` or `openvla+http://`. The
+    environment variable `VLAGENTS_TOKEN` has the token."""
     agent: tyro.conf.Suppress[None] = None  # pyright: ignore[reportIncompatibleVariableOverride]
     """The policy acts."""
     task: str = "PickCuboid"  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
@@ -76,7 +76,7 @@ class RunCommand(SetupOptions):
     certificate: str | None = None
     """File with the certificate that a server's must be signed by, for `vlas://` and `wss://`."""
     described_in: Path | None = None
-    """JSON file with the policy's metadata, for `ws://` servers that do not send them, such as openpi's."""
+    """JSON file with the policy's metadata, for servers that do not send them: those of openpi, GR00T and OpenVLA."""
     hardware: str | None = None
     """Real devices: the JSON file of a site, or `driver:address` for all arms with their end effectors. All else is
     simulated, in real time. A device that fails ends the run."""

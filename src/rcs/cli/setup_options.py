@@ -202,8 +202,8 @@ class SetupOptions:
     """Name of the task, such as PickCuboid, or `module:Class`; or the path of a checkpoint, or of a run, for the
     environment that it was trained in."""
     agent: str | None = None
-    """Name of the agent, `module:Class`, which is called with the environment, or the path of a checkpoint. By default
-    the task's expert, or the policy of the checkpoint that is given in place of the task."""
+    """Name of the agent, `module:Class`, which is called with the environment, the path of a checkpoint, or the address
+    of a policy. By default the task's expert, or the policy of the checkpoint that is given in place of the task."""
     seed: int = 0
     """Random seed of the episodes."""
     trust: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[MODULE ...]")] = ()

@@ -57,7 +57,8 @@ class Collection(Kept):
     """Address of a Ray cluster for the processes: `auto` for the one that this machine is a part of, or `host:port`;
     None for this machine, without Ray. Ray transfers the episodes; other machines need not see `out`."""
     agent: Any = None
-    """An agent's class or name, `module:Class`; None for the expert of the task."""
+    """An agent's class or name, `module:Class`, the path of a checkpoint, or the address of a policy; None for the
+    expert of the task."""
     hardware: Any = None
     """The real devices, as in `rcs.make`; None for simulation alone. Real robots have one process, and a supervisor."""
 

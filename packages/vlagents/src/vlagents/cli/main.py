@@ -117,7 +117,7 @@ def _add_server(verbs: Any, verb: str, what: str, token: str) -> argparse.Argume
 
 
 def _add_address(parser: argparse.ArgumentParser, token: str) -> None:
-    parser.add_argument("address", help="vla://host:port, vlas://, ws:// or wss://")
+    parser.add_argument("address", help="vla://host:port, vlas://, ws://, wss://, gr00t:// or openvla+http://")
     parser.add_argument("--timeout", type=float, default=5.0, help="how long an answer may take [s]")
     parser.add_argument("--token-file", type=Path, help=token)
     parser.add_argument("--certificate", type=Path, help="that the server's must be signed by")
