@@ -73,7 +73,7 @@ def main(options: Options) -> None:
                 pass
         episodes = Dataset.open(out).episodes
         placed = [episode.outcome["placed"] for episode in episodes]
-        replayed = sum(one.success for one in reexecute(out, Path(folder) / "again", follow="states"))
+        replayed = sum(one.success for one in reexecute(out, Path(folder) / "again", kind="states"))
     tries = [one for one in placed if one.get("why") != "no success before"]
     by_robot = [one for one in tries if one["by"] == "robot"]
     print(

@@ -43,7 +43,7 @@ def test_cuboids_are_picked_recorded_at_30_hz_and_picked_again_in_simulation(tmp
         periods = np.diff(episode.column("time/monotonic"))
         assert np.median(periods) == pytest.approx(1 / 30, rel=0.02)
         assert episode.outcome["objects"]["cuboid"]
-    results = list(reexecute(tmp_path / "real", tmp_path / "simulated", follow="states"))
+    results = list(reexecute(tmp_path / "real", tmp_path / "simulated", kind="states"))
     assert [result.success for result in results] == [True, True]
 
 

@@ -26,7 +26,7 @@ from rcs.sim.camera import SimCameras
 REPLAYS: dict[str, Callable[..., Iterator[Any]]] = {
     "render": rerender,
     "actions": reexecute,
-    "states": partial(reexecute, follow="states"),
+    "states": partial(reexecute, kind="states"),
 }
 
 
@@ -58,7 +58,7 @@ def test_a_mix_of_different_setups_is_refused_with_what_differs(dataset: Path, t
     other = recorded(tmp_path / "other", physics_step=0.001)
     mixed = mix([Part(path=dataset), Part(path=other)], tmp_path / "mixed")
     with pytest.raises(InvalidSetup, match="physics_step"):
-        list(reexecute(mixed.path, tmp_path / "out", follow="states"))
+        list(reexecute(mixed.path, tmp_path / "out", kind="states"))
 
 
 @pytest.mark.gl

@@ -103,7 +103,7 @@ def other_world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(**options: Any) -> list[ReexecutionResult]:
-    return sorted(reexecute(follow="states", **options), key=lambda result: result.episode_id)
+    return sorted(reexecute(kind="states", **options), key=lambda result: result.episode_id)
 
 
 def successes(results: list[ReexecutionResult]) -> int:

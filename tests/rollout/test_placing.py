@@ -51,7 +51,7 @@ def test_after_a_success_the_next_episode_begins_where_the_robot_has_set_the_cub
         assert 0.0 < placed["off_mm"] < 3.0 and placed["off_deg"] < 2.0
         assert pose[2] == pytest.approx(0.0288, abs=1e-4)  # it lies on the table
     assert all(result.is_equal for result in replay(collection.out))
-    again = list(reexecute(collection.out, tmp_path / "again", follow="states"))
+    again = list(reexecute(collection.out, tmp_path / "again", kind="states"))
     assert [result.success for result in again] == [True, True]
     for one, two in zip(Dataset.open(collection.out), Dataset.open(tmp_path / "again"), strict=True):
         np.testing.assert_allclose(two.outcome["objects"]["cuboid"], one.outcome["objects"]["cuboid"], atol=1e-9)

@@ -117,7 +117,7 @@ class ReplayCommand:
         more: dict[str, Any] = {**chosen, "setup": self._setup(), "workers": self.workers, "trust": self.trust}
         if self.kind == "render":
             return rerender(self.path, self.out, **more)
-        return reexecute(self.path, self.out, follow=self.kind, **more)
+        return reexecute(self.path, self.out, kind=self.kind, **more)
 
     def _setup(self) -> Setup | None:
         """Return the setup that the options ask for; None for the recorded one."""

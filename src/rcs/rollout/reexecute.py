@@ -30,7 +30,7 @@ from rcs.rollout.recorded_setup import physics_of, require_rate, require_states,
 from rcs.rollout.replay import recorded
 from rcs.spatial import distance
 
-Follow = Literal["actions", "states"]
+Kind = Literal["actions", "states"]
 """The motion to execute: the recorded actions, or targets that follow the recorded joints and openings."""
 
 
@@ -72,7 +72,7 @@ def reexecute(
     source: str | Path,
     out: str | Path,
     *,
-    follow: Follow = "actions",
+    kind: Kind = "actions",
     setup: Setup | None = None,
     looks_seed: int | None = None,
     only_success: bool = False,
@@ -85,7 +85,7 @@ def reexecute(
     Args:
         source: Folder of the recorded dataset.
         out: Folder of the new dataset; it must not exist.
-        follow: The motion to execute.
+        kind: The motion to execute.
         setup: The setup of the new episodes, None for the recorded one. Those of actions may differ in what is seen
             only, see `seen_as`. Those of states have absolute joint targets and stiff arms that go on after a
             collision, since the measured ones have given way already and have gone on.
@@ -102,10 +102,10 @@ def reexecute(
     """
     if not 0 <= grace < np.inf:
         raise InvalidSetup(f"grace is {grace} s; valid is 0 and more.")
-    if follow not in get_args(Follow):
-        raise InvalidSetup(f"follow is {follow!r}; valid: {', '.join(map(repr, get_args(Follow)))}.")
+    if kind not in get_args(Kind):
+        raise InvalidSetup(f"kind is {kind!r}; valid: {', '.join(map(repr, get_args(Kind)))}.")
     dataset = Dataset.open(source)
-    if follow == "actions":
+    if kind == "actions":
         require_states(dataset)
         physics, frames = physics_of(dataset, trust=trust), setup_of(dataset, trust=trust)
         require_rate(dataset, physics)
@@ -115,13 +115,11 @@ def reexecute(
             physics = setup = seen_as(_following(setup or setup_of(dataset, trust=trust)), None, looks_seed)
         except InvalidSetup as err:
             raise err if setup is not None else InvalidSetup(f"{err} Or give a setup with a robot and a task.") from err
-    make = _Execute(follow=follow, only_success=only_success, grace=grace)
-    recipe = Derivation(
-        kind=follow, source=Path(source), physics=physics, setup=setup, looks_seed=looks_seed, make=make
-    )
+    make = _Execute(kind=kind, only_success=only_success, grace=grace)
+    recipe = Derivation(kind=kind, source=Path(source), physics=physics, setup=setup, looks_seed=looks_seed, make=make)
     env, _ = recipe.open()
     try:
-        if follow == "states":
+        if kind == "states":
             names = sorted(env.simulation.task.object_poses())
             if names and not any(OBJECTS in episode.outcome for episode in dataset.episodes):
                 raise InvalidSetup(
@@ -154,7 +152,7 @@ def _following(setup: Setup) -> Setup:
 class _Execute:
     """Makes one episode."""
 
-    follow: Follow
+    kind: Kind
     only_success: bool
     grace: float
 
@@ -163,7 +161,7 @@ class _Execute:
             with maker.recorder.discard_on_error():
                 return self._execute(maker, episode)
         except InvalidSetup as err:
-            if self.follow == "actions":
+            if self.kind == "actions":
                 raise
             # Joints out of limits, missing poses or an explosion concern this episode only.
             maker.recorder.forget_next()
@@ -172,7 +170,7 @@ class _Execute:
             )
 
     def _execute(self, maker: EpisodeMaker, episode: EpisodeRecord) -> ReexecutionResult:
-        agent, start, most, compare = (self._states if self.follow == "states" else self._actions)(maker, episode)
+        agent, start, most, compare = (self._states if self.kind == "states" else self._actions)(maker, episode)
         errors: dict[str, list[float]] = {}
         last: Step | None = None
         with closing(maker.play(episode, agent, start, most)) as steps:
