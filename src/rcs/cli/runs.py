@@ -106,7 +106,7 @@ def print_results(
     seconds: float,
     workers: int | str,
     console: Console,
-    recording: Path | None = None,
+    record: Path | None = None,
 ) -> None:
     """Print the results of an evaluation, film some of its episodes, and write the page about the ledger.
 
@@ -117,14 +117,14 @@ def print_results(
         seconds: How long it took [s].
         workers: Who made them, in words or a number of processes.
         console: Where to print.
-        recording: The dataset in which the episodes were recorded, for films of real ones.
+        record: The dataset in which the episodes were recorded, for films of real ones.
     """
     if not summary.attempts or evaluation.out is None:
         return
     console.print(results_table(summary, seconds, workers))
     with Ledger(evaluation.out) as ledger:
         if videos and not summary.is_interrupted:
-            _film(evaluation, ledger, summary.condition, videos, recording, console)
+            _film(evaluation, ledger, summary.condition, videos, record, console)
         if evaluation.against is not None:
             (one,) = compare(ledger, [summary.condition, evaluation.against])
             one = replace(one, pairs=summary.pairs or one.pairs, until=evaluation.until)
@@ -136,14 +136,14 @@ def print_results(
 
 
 def _film(
-    evaluation: Evaluation, ledger: Ledger, condition: str, videos: int, recording: Path | None, console: Console
+    evaluation: Evaluation, ledger: Ledger, condition: str, videos: int, record: Path | None, console: Console
 ) -> None:
     """Film episodes, and print which of them ended differently."""
     if ledger.condition(condition).is_real:
-        if recording is None:
+        if record is None:
             console.print("Real episodes are filmed from their recording: give --record, too.", soft_wrap=True)
             return
-        cut_films(recording, ledger, condition, videos)
+        cut_films(record, ledger, condition, videos)
     else:
         for row, result in film(evaluation, videos):
             if differs(row, result):

@@ -56,7 +56,7 @@ class SimCommand(SetupOptions):
             seed=self.seed,
             agent=actor,
             hardware=self.hardware,
-            out=self.record,
+            record_into=self.record,
             instructions=self.instruction,
         )
         session.is_playing = not self.paused

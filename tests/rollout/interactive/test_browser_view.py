@@ -226,7 +226,7 @@ def test_the_state_of_a_person_at_a_device_is_shown_and_what_is_wrong() -> None:
 
 
 def test_takes_are_made_with_buttons_and_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    session = Session(replace(playable(Setup(task="PickCuboid")), stepping="async"), out=tmp_path / "set")
+    session = Session(replace(playable(Setup(task="PickCuboid")), stepping="async"), record_into=tmp_path / "set")
     with session, BrowserView(session, port=0) as view:
         panel = view._panel
         assert panel is not None

@@ -129,7 +129,7 @@ def test_takes_are_made_on_a_page_and_a_second_one_only_shows(
 ) -> None:
     monkeypatch.setattr("rcs.rollout.interactive.page_link.VALID_FOR", 60.0)  # it draws without a GPU
     setup = replace(playable(Setup(task="PickCuboid")), stepping="async")
-    with Session(setup, out=tmp_path / "set") as session, BrowserView(session, port=0) as view:
+    with Session(setup, record_into=tmp_path / "set") as session, BrowserView(session, port=0) as view:
         server = server_of(view)
         chromium.errors.clear()
         chromium.resize(640, 700)

@@ -208,7 +208,7 @@ def test_an_agent_acts_at_its_own_rate_and_what_it_asks_for_is_done(
 
 def test_takes_are_recorded_with_who_acted(tmp_path: Path) -> None:
     setup = replace(playable(Setup(task="PickCuboid", relative="absolute")), stepping="async")
-    with Session(setup, out=tmp_path / "set", instructions=("lift it",)) as session:
+    with Session(setup, record_into=tmp_path / "set", instructions=("lift it",)) as session:
         for event, steps in (("start", 4), ("success", 1), ("start", 3), ("discard", 1), ("start", 2)):
             session.obey(event)
             for _ in range(steps):
@@ -226,7 +226,9 @@ def test_takes_are_recorded_with_who_acted(tmp_path: Path) -> None:
 
 
 def test_a_reset_during_a_take_keeps_it_without_a_verdict(tmp_path: Path) -> None:
-    with Session(replace(playable(Setup(task="PickCuboid")), stepping="async"), out=tmp_path / "set") as session:
+    with Session(
+        replace(playable(Setup(task="PickCuboid")), stepping="async"), record_into=tmp_path / "set"
+    ) as session:
         session.obey("start")
         for _ in range(4):
             session.step()
@@ -245,7 +247,7 @@ def on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Generator
         raise DatasetError("no room on the disk")
 
     setup = replace(playable(Setup(task="PickCuboid")), stepping="async")
-    with Session(setup, out=tmp_path / "set") as session:
+    with Session(setup, record_into=tmp_path / "set") as session:
         session.obey("start")
         session.step()
         monkeypatch.setattr(Recorder, "finish", fail)
@@ -287,7 +289,7 @@ def test_an_agent_that_cannot_be_closed_does_not_keep_the_robots_from_braking() 
 
 def test_an_episode_that_ends_by_itself_ends_the_take_with_the_verdict_of_the_task(tmp_path: Path) -> None:
     setup = replace(playable(Setup(task="PickCuboid")), stepping="async")
-    with Session(setup, out=tmp_path / "set") as session:
+    with Session(setup, record_into=tmp_path / "set") as session:
         session.let_agent(True)
         session.obey("start")
         while session.takes is not None and session.takes.now is not None:
@@ -303,7 +305,7 @@ def test_an_episode_that_ends_by_itself_ends_the_take_with_the_verdict_of_the_ta
 def test_without_a_folder_or_a_take_the_buttons_say_so(tmp_path: Path) -> None:
     with session_of() as session, pytest.raises(WrongOrder, match="give a folder"):
         session.obey("start")
-    with Session(replace(playable(Setup(task="Free")), stepping="async"), out=tmp_path / "set") as session:
+    with Session(replace(playable(Setup(task="Free")), stepping="async"), record_into=tmp_path / "set") as session:
         for event, match in (("success", "no open episode"), ("discard", "no take")):
             with pytest.raises(WrongOrder, match=match):
                 session.obey(event)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
@@ -311,7 +313,7 @@ def test_without_a_folder_or_a_take_the_buttons_say_so(tmp_path: Path) -> None:
 
 def test_real_devices_are_shown_where_they_are_measured_and_stay_when_nobody_leads(tmp_path: Path) -> None:
     setup = replace(playable(Setup(task="Free", relative="absolute")), frequency=100.0)
-    with Session(setup, hardware="fake", out=tmp_path / "set") as session:
+    with Session(setup, hardware="fake", record_into=tmp_path / "set") as session:
         guide = session.guides["fr3"]
         joints = guide.joints
         joints[0] += 0.5
@@ -343,7 +345,7 @@ def test_on_real_devices_no_policy_acts_after_a_take(is_takeover: bool, tmp_path
         return policy if person is None else Takeover(env, policy, person)
 
     setup = replace(playable(Setup(task="Free", relative="absolute")), frequency=100.0)
-    with Session(setup, agent=agent, hardware="fake", out=tmp_path / "set") as session:
+    with Session(setup, agent=agent, hardware="fake", record_into=tmp_path / "set") as session:
         session.let_agent(True)
         session.obey("start")
         session.step()

@@ -33,7 +33,7 @@ def test_a_device_leads_in_place_of_the_page_and_its_buttons_make_takes(tmp_path
         return Operator(env, device, clock=lambda: now[0], has_thread=False)
 
     setup = replace(playable(Setup(task="PickCuboid")), stepping="async")
-    with Session(setup, agent=operator, out=tmp_path / "set") as session:
+    with Session(setup, agent=operator, record_into=tmp_path / "set") as session:
         session.let_agent(True)
         while session.takes is None or not session.takes.ended:
             now[0] += 1 / 30
@@ -109,7 +109,7 @@ class Typed:
 
 def test_a_take_led_by_keys_after_another_one_has_all_notes_of_them(tmp_path: Path) -> None:
     setup = replace(playable(Setup(task="Free")), stepping="async")
-    with Session(setup, out=tmp_path / "set") as session:
+    with Session(setup, record_into=tmp_path / "set") as session:
         for keys in (None, Keyboard(keys=Typed())):
             session.obey("start")
             if keys is not None:

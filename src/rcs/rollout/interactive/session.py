@@ -68,7 +68,7 @@ class Session(Closing):
         seed: int = 0,
         agent: Any = None,
         hardware: Any = None,
-        out: Path | None = None,
+        record_into: Path | None = None,
         instructions: Sequence[str] = (),
     ) -> None:
         """Make the environment and begin its first episode.
@@ -78,7 +78,7 @@ class Session(Closing):
             seed: Seed of the first episode.
             agent: Agent that may act in place of the person, as `agent_for` takes it; None for the task's expert.
             hardware: Real devices, as in `rcs.make`; None for simulation alone.
-            out: Folder of the dataset of takes; None for no recording.
+            record_into: Folder of the dataset of takes; None for no recording.
             instructions: Instructions of the takes, in turn; none for that of the environment.
 
         Raises:
@@ -93,7 +93,7 @@ class Session(Closing):
         """The takes, from the first one on; None before it, and without a folder."""
         self.statistics = LoopStatistics(setup.frequency)
         """How well the loop has kept its rate in this episode."""
-        self._actor, self._out, self._instructions = agent, out, instructions
+        self._actor, self._record_into, self._instructions = agent, record_into, instructions
         self._recording = ExitStack()
         self._pace: Pace | None = None
         self.operator: Operator | None = None
@@ -136,7 +136,7 @@ class Session(Closing):
     @property
     def can_record(self) -> bool:
         """Whether there is a folder for takes."""
-        return self._out is not None
+        return self._record_into is not None
 
     @property
     def agent(self) -> Agent | None:
@@ -298,12 +298,12 @@ class Session(Closing):
     # --- Takes --------------------------------------------------------------------------------------------------------
 
     def _judge(self, event: Event) -> None:
-        if self._out is None:
+        if self._record_into is None:
             raise WrongOrder("Nothing is recorded; give a folder to record into.")
         if self.takes is None:
             fields = [*notes_of(Keyboard.hands), *(() if self.agent is None else self.agent.note_fields), ACTOR]
             notes = {note.name: note for note in fields}  # keys may lead later, and all takes have the same notes
-            recorder = self._recording.enter_context(record(self.env, self._out, notes=list(notes.values())))
+            recorder = self._recording.enter_context(record(self.env, self._record_into, notes=list(notes.values())))
             self.takes = Takes(recorder, self.env.frequency, instructions=self._instructions)
         takes = self.takes
         if event == "start" and takes.now is None:
