@@ -57,7 +57,7 @@ class CollectCommand(SetupOptions):
     """Real devices: the JSON file of a site, or `driver:address` for all arms with their end effectors. Cameras are
     then those of the site, if none are given."""
     yes: bool = False
-    """Do not ask whether real arms may go home: somebody watches them."""
+    """Do not ask before motions: somebody watches the arms."""
 
     def run(self) -> int:
         """Collect, print the results and return the exit code."""
@@ -92,7 +92,7 @@ class CollectCommand(SetupOptions):
     def _collect(self, collection: Collection, progress: Progress, console: Console) -> None:
         supervisor: Supervisor | None = None
         if self.hardware is not None:
-            supervisor = supervisor_of(collection.setup, self.hardware, agrees=self.yes)
+            supervisor = supervisor_of(collection.setup, self.hardware, is_agreed=self.yes)
         attempts = collect(collection, progress, supervisor=supervisor)
         if isinstance(supervisor, TerminalSupervisor):
             if not sys.stdin.isatty():

@@ -48,7 +48,7 @@ class DoctorCommand:
     """After a question, check clauses of the contract on every arm: its joints move by 0.05 rad and back, at 5 % of
     their speeds."""
     yes: bool = False
-    """Do not ask: somebody watches the arms."""
+    """Do not ask before motions: somebody watches the arms."""
     json: bool = False
     """Print JSON."""
     page: Path | None = None

@@ -34,7 +34,7 @@ class HomeCommand:
     speed: float = SPEED
     """Largest speed of a joint, as a share of its limit."""
     yes: bool = False
-    """Do not ask: somebody watches the arms."""
+    """Do not ask before motions: somebody watches the arms."""
 
     def run(self) -> int:
         """Ask, move, and return the exit code."""

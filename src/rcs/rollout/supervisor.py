@@ -58,13 +58,13 @@ class Supervisor(ABC):
 class TerminalSupervisor(Supervisor):
     """The person at the terminal."""
 
-    def __init__(self, *, agrees: bool = False) -> None:
+    def __init__(self, *, is_agreed: bool = False) -> None:
         """Ask before the first motion, and again after a fault.
 
         Args:
-            agrees: Skip the questions, because the person has agreed to all motions.
+            is_agreed: Do not ask before motions, because the person has agreed to all of them.
         """
-        self._always_agrees = self._agrees = agrees
+        self._always_agrees = self._agrees = is_agreed
 
     def may_move(self, question: str) -> bool:
         """Ask once."""
@@ -147,18 +147,18 @@ class VirtualSupervisor(Supervisor):
         return not self._has_begun
 
 
-def supervisor_of(setup: Setup, hardware: Any, *, agrees: bool = False) -> Supervisor:
+def supervisor_of(setup: Setup, hardware: Any, *, is_agreed: bool = False) -> Supervisor:
     """Return the supervisor: the world of the virtual robot at a site's addresses, or the user at the terminal.
 
     Args:
         setup: The setup of the episodes.
         hardware: The real devices, as in `rcs.make`.
-        agrees: Skip the questions, because the person has agreed to all motions.
+        is_agreed: Do not ask before motions, because the person has agreed to all of them.
 
     Raises:
         InvalidSetup: The virtual robot's scene is that of another task.
     """
-    return VirtualSupervisor.of(site_of(setup, hardware), setup) or TerminalSupervisor(agrees=agrees)
+    return VirtualSupervisor.of(site_of(setup, hardware), setup) or TerminalSupervisor(is_agreed=is_agreed)
 
 
 def _options(setup: Setup) -> dict[str, Any]:

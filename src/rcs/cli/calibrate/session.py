@@ -43,7 +43,7 @@ class SessionOptions:
     speed: float = 0.5
     """Largest speed of a joint on hardware [rad/s]."""
     yes: bool = False
-    """Do not ask before each motion of real hardware."""
+    """Do not ask before motions: somebody watches the arms."""
     seed: int = 0
     """Random seed of the poses that are tried."""
 
