@@ -10,7 +10,7 @@ import pytest
 from rcs_data import Dataset
 
 from rcs.cli.main import main
-from rcs.cli.replay import summary
+from rcs.cli.replay import successes_in_words
 from rcs.rollout.reexecute import ReexecutionResult
 
 
@@ -96,7 +96,7 @@ def test_what_makes_no_sense_is_refused_and_leaves_nothing(
 def test_the_summary_counts_successes_and_episodes_that_could_not_be_replayed() -> None:
     made = ReexecutionResult(episode_id="a", recorded_success=True, success=True)
     failed = replace(made, recorded_success=False, success=False)
-    assert summary([made, failed]) == "1 of 2 succeed in simulation; of 1 recorded successes 1"
+    assert successes_in_words([made, failed]) == "1 of 2 succeed in simulation; of 1 recorded successes 1"
     lost = replace(failed, problem="no poses")
-    assert summary([made, made, lost]).endswith("; of 2 recorded successes 2; 1 could not be replayed")
-    assert summary([made]) == "1 of 1 succeed in simulation"
+    assert successes_in_words([made, made, lost]).endswith("; of 2 recorded successes 2; 1 could not be replayed")
+    assert successes_in_words([made]) == "1 of 1 succeed in simulation"

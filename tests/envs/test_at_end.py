@@ -13,7 +13,6 @@ import rcs
 from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.envs.env import Env
 from rcs.errors import InvalidSetup, Refused
-from rcs.hardware.fake import limits_of
 from rcs.robots import FR3
 
 HOME = np.array(FR3.home)
@@ -24,7 +23,7 @@ class WatchedArm(FakeArm):
     """Tells when it is sent home."""
 
     def __init__(self) -> None:
-        super().__init__(limits_of(FR3), start=AWAY)
+        super().__init__(FR3.arm_limits, start=AWAY)
         self.on_command: Callable[[], None] = lambda: None
         self.sent = [AWAY]
 

@@ -13,7 +13,6 @@ from rcs.devices.fakes import FakeArm
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.hardware import FakeDriver
-from rcs.hardware.fake import limits_of
 from rcs.kinematics.chain import damped
 from rcs.robots import FR3, FRANKA_HAND, Compliance
 from rcs.testing.env_contract import require_same_bits
@@ -100,7 +99,7 @@ def test_drivers_without_compliance_refuse_it_with_the_robot_and_what_is_valid(d
 
 
 def test_an_arm_that_is_given_as_a_device_refuses_it() -> None:
-    arm = FakeArm(limits_of(FR3), start=np.array(FR3.home))
+    arm = FakeArm(FR3.arm_limits, start=np.array(FR3.home))
     with pytest.raises(InvalidSetup, match="give its address"):
         rcs.make("Free", hardware={"fr3": arm}, compliance=Compliance(joints=100))
 

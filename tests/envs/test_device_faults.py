@@ -12,7 +12,6 @@ from rcs.devices import ArmState
 from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.envs.env import Env
 from rcs.errors import DeviceFault
-from rcs.hardware.fake import limits_of
 from rcs.robots import FR3
 
 STAY = {"joints": np.zeros(7), "gripper": np.array([1.0])}
@@ -22,7 +21,7 @@ class Glitching(FakeArm):
     """An arm whose library fails in one of its calls as vendors' libraries do."""
 
     def __init__(self) -> None:
-        super().__init__(limits_of(FR3), start=np.array(FR3.home), name="glitching")
+        super().__init__(FR3.arm_limits, start=np.array(FR3.home), name="glitching")
         self.failing = ""
 
     def _fail(self, call: str) -> None:

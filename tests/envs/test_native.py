@@ -20,7 +20,6 @@ from rcs.envs.gates.gate import Gate
 from rcs.envs.observers.record import record_all
 from rcs.errors import InvalidSetup, Refused
 from rcs.hardware import Site
-from rcs.hardware.fake import limits_of
 from rcs.hardware.site import DeviceAddress
 from rcs.kinematics import kinematics_of
 from rcs.robots import FR3, FRANKA_HAND
@@ -37,7 +36,7 @@ class NativeArm(FakeArm):
 
     def __init__(self, *more: CommandKind) -> None:
         kinds = set(more or (CommandKind.pose, CommandKind.twist))
-        Arm.__init__(self, "native arm", limits_of(FR3), kinds)
+        Arm.__init__(self, "native arm", FR3.arm_limits, kinds)
         self.body = Body(time.monotonic, HOME, FR3.velocity_limit)
         self.sent: list[tuple[str, Any]] = []
 

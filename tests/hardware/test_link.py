@@ -15,7 +15,6 @@ from rcs.devices import ArmState, GripperState
 from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.errors import WrongOrder
 from rcs.hardware import Driver, Link
-from rcs.hardware.fake import limits_of
 from rcs.robots.description import ArmDescription, GripperDescription
 
 
@@ -89,7 +88,7 @@ class LineDriver(Driver):
         return self.lines[-1]
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> LinkedArm:
-        arm = LinkedArm(limits_of(about), start=np.array(about.home), name=f"arm {address}")
+        arm = LinkedArm(about.arm_limits, start=np.array(about.home), name=f"arm {address}")
         arm.link = self._line(address)
         return arm
 
@@ -115,7 +114,7 @@ def test_arm_and_gripper_of_a_robot_share_a_connection_and_two_robots_do_not() -
 
 def test_the_last_device_closes_the_connection_and_another_open_makes_a_new_one() -> None:
     driver = LineDriver()
-    arm, gripper = LinkedArm(limits_of(rcs.robots.FR3)), LinkedGripper()
+    arm, gripper = LinkedArm(rcs.robots.FR3.arm_limits), LinkedGripper()
     arm.link = gripper.link = driver._line("a")
     with pytest.raises(WrongOrder, match="before a device has opened"), arm.link:
         pass
@@ -134,7 +133,7 @@ def test_the_last_device_closes_the_connection_and_another_open_makes_a_new_one(
 
 def test_a_device_that_has_not_opened_the_connection_does_not_close_it_for_others() -> None:
     driver = LineDriver()
-    arm, gripper = LinkedArm(limits_of(rcs.robots.FR3)), LinkedGripper()
+    arm, gripper = LinkedArm(rcs.robots.FR3.arm_limits), LinkedGripper()
     arm.link = gripper.link = driver._line("a")
     gripper.open()
     arm.link.close(arm)

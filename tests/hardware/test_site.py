@@ -14,14 +14,13 @@ import rcs
 from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper
 from rcs.errors import DeviceFault, InvalidSetup, UnknownName
 from rcs.hardware import DeviceAddress, Driver, FakeDriver, Site
-from rcs.hardware.fake import limits_of
 from rcs.robots.fr3 import FR3
 
 HOME = np.array(FR3.home)
 
 
 def home_arm(**options: Any) -> FakeArm:
-    return FakeArm(limits_of(FR3), start=HOME, **options)
+    return FakeArm(FR3.arm_limits, start=HOME, **options)
 
 
 def test_a_site_is_what_its_file_says(tmp_path: Path) -> None:
@@ -96,7 +95,7 @@ def test_a_device_itself_goes_into_no_file(tmp_path: Path) -> None:
         (3, InvalidSetup, "hardware is 3"),
         (Site(hands={"fr3": "fake"}), InvalidSetup, "carries franka_hand"),
         (Site(arms={"left": "fake"}), UnknownName, "left"),
-        ({"fr3": FakeArm(limits_of(FR3).__class__([-1.0], [1.0], [1.0]))}, InvalidSetup, "1 joints"),
+        ({"fr3": FakeArm(FR3.arm_limits.__class__([-1.0], [1.0], [1.0]))}, InvalidSetup, "1 joints"),
         ("nowhere.json", InvalidSetup, "cannot be read"),
         ({"fr3": FakeGripper()}, InvalidSetup, "Expected a device of rcs.devices.Arm"),
         ({"fr3": {"driver": "rcs.errors:WrongOrder"}}, InvalidSetup, "subclass of rcs.hardware.Driver"),

@@ -17,7 +17,6 @@ from rcs.devices import Device
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware import franka_pylibfranka, hosted, robotiq, ur
 from rcs.hardware.driver import Driver
-from rcs.hardware.fake import limits_of
 from rcs.hardware.franka import FrankaArm, FrankaDriver, FrankaOptions
 from rcs.hardware.franka_faults import make_idle
 from rcs.hardware.franka_pylibfranka import PylibfrankaArm
@@ -218,7 +217,7 @@ class LooseServos:
 def test_servos_that_are_on_when_one_does_not_answer_are_released_at_the_end() -> None:
     servos = LooseServos()
     link: Any = Link(lambda: servos, lambda _: None)
-    arm = So101Arm(link, limits_of(SO101), options=So101Options(), name="arm")
+    arm = So101Arm(link, SO101.arm_limits, options=So101Options(), name="arm")
     with arm:
         arm.command_joints(arm.state().joints)
         wait_for_fault(arm)

@@ -20,7 +20,6 @@ from rcs.devices import ArmState, StreamedArm, StreamOptions, StreamPoint
 from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.errors import InvalidAction, MissingDependency
 from rcs.hardware import Driver, HostTimes
-from rcs.hardware.fake import limits_of
 
 
 def keep_interpreter(seconds: float) -> None:
@@ -138,7 +137,7 @@ class Servo(StreamedArm):
     """An arm that is where its points are; its mode is for which time between commands it plans."""
 
     def __init__(self, about: Any) -> None:
-        super().__init__("fr3", limits_of(about), StreamOptions(rate=100.0, missed_ticks=1000))
+        super().__init__("fr3", about.arm_limits, StreamOptions(rate=100.0, missed_ticks=1000))
         self.joints = np.array(about.home)
 
     def _read(self) -> ArmState:
@@ -163,7 +162,7 @@ class UnrulyDriver(Driver):
     host_times = HostTimes(open=1.5)
 
     def arm(self, address: str, about: Any, options: Mapping[str, Any]) -> UnrulyArm:
-        arm = UnrulyArm(limits_of(about), start=np.array(about.home), name="fr3")
+        arm = UnrulyArm(about.arm_limits, start=np.array(about.home), name="fr3")
         arm.box = Path(options["box"]) if "box" in options else None
         return arm
 

@@ -14,7 +14,6 @@ from rcs.calibration import BoardStrategy, CalibrationStrategy, verify
 from rcs.devices import ArmLimits
 from rcs.devices.fakes import FakeArm
 from rcs.errors import InvalidSetup, WrongOrder
-from rcs.hardware.fake import limits_of
 from rcs.robots import FR3
 from rcs.rollout import FreePath, Tour, look_around
 from rcs.setups import Calibration, MountedCamera, ShowBoardOptions, board_setup, write_calibration
@@ -159,7 +158,7 @@ def test_a_slow_arm_has_the_time_that_its_way_takes(monkeypatch: pytest.MonkeyPa
 
 
 def test_an_arm_that_came_to_rest_a_little_beyond_its_range_goes_on() -> None:
-    limits = limits_of(FR3)
+    limits = FR3.arm_limits
     start = np.array(FR3.home)
     start[5] = limits.joint_lower[5] - 4e-4
     arm = FakeArm(limits, start=start)
@@ -190,7 +189,7 @@ class FirstFree(CalibrationStrategy):
 
 
 def test_an_arm_goes_nowhere_beyond_the_limits_of_its_device_which_may_be_narrower() -> None:
-    whole, home = limits_of(FR3), np.array(FR3.home)
+    whole, home = FR3.arm_limits, np.array(FR3.home)
     narrow = ArmLimits(home - 0.1, home + 0.1, whole.joint_velocity)
     hardware = {"fr3": FakeArm(narrow, start=home), "wrist": "fake"}
     beyond, within = home + 0.12 * np.eye(7)[6], home + 0.05 * np.eye(7)[6]

@@ -22,7 +22,7 @@ from rcs.robots.description import ArmDescription, GripperDescription
 from rcs.rollout.collect import collect
 from rcs.rollout.collection import Collection, Progress, seed_of
 from rcs.rollout.episode import run_episode
-from rcs.rollout.placing import Placer, PlacesInSimulation, Poses, SeededScene, deviation
+from rcs.rollout.placing import Placer, PlacesInSimulation, Poses, SeededScene, offset
 from rcs.rollout.reexecute import reexecute
 from rcs.rollout.replay import replay
 from rcs.spatial import Pose
@@ -46,7 +46,7 @@ def test_after_a_success_the_next_episode_begins_where_the_robot_has_set_the_cub
     for number, episode in enumerate(others, start=1):
         placed, pose = episode.outcome["placed"], np.array(episode.outcome["objects"]["cuboid"])
         assert episode.success and placed["by"] == "robot"
-        off, angle = deviation(scene.poses(collection.seed_of(number))["cuboid"], pose)
+        off, angle = offset(scene.poses(collection.seed_of(number))["cuboid"], pose)
         assert (placed["off_mm"], placed["off_deg"]) == pytest.approx((1e3 * off, np.rad2deg(angle)), abs=1e-6)
         assert 0.0 < placed["off_mm"] < 3.0 and placed["off_deg"] < 2.0
         assert pose[2] == pytest.approx(0.0288, abs=1e-4)  # it lies on the table
@@ -110,7 +110,7 @@ def test_a_pose_out_of_reach_is_told_and_the_next_one_of_the_seed_counts(
         if far == 1:
             assert told["by"] == "robot" and len(told["out_of_reach"]) == 1
             assert options is not None
-            off, angle = deviation(nearest, options["objects"]["cuboid"])
+            off, angle = offset(nearest, options["objects"]["cuboid"])
             assert off < 0.003 and angle < np.deg2rad(2.0)
         else:
             assert options is None
@@ -133,7 +133,7 @@ def test_a_cuboid_that_lies_too_far_off_is_placed_by_the_reset(monkeypatch: pyte
 def test_half_a_turn_of_a_cuboid_does_not_count() -> None:
     pose = np.array([0.4, 0.1, 0.03, 0.0, 0.0, np.sin(0.3), np.cos(0.3)])
     turned = (Pose.from_tquat(pose) * Pose.from_rpy((0.001, 0.0, 0.0), (0.0, 0.0, np.pi - 0.02))).tquat
-    assert deviation(pose, turned) == pytest.approx((0.001, 0.02))
+    assert offset(pose, turned) == pytest.approx((0.001, 0.02))
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ def test_on_devices_a_person_says_whether_it_lies_there(
     wanted = SeededScene(SETUP).poses(collection.seed_of(1))["cuboid"]
     placed, pose = two.outcome["placed"], two.outcome["objects"]["cuboid"]
     assert (placed["by"] == "robot") is lies_there
-    off, angle = deviation(wanted, np.array(pose))
+    off, angle = offset(wanted, np.array(pose))
     assert (0.0 < off < 0.003 and angle < np.deg2rad(2.0)) if lies_there else off == 0.0
     np.testing.assert_allclose(Grasp.told[1]["cuboid"], pose, atol=1e-6)
     np.testing.assert_allclose(two.column("observation/joints")[0], rcs.robots.FR3.home, atol=2e-3)

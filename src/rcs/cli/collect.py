@@ -15,7 +15,7 @@ from rcs_data.view import write_report
 from rich.console import Console
 
 from rcs.cli.runs import PoolOptions, interruptible, results_table, show
-from rcs.cli.setup_options import SetupOptions, cameras_of, flags
+from rcs.cli.setup_options import SetupOptions, flags, recorded_cameras
 from rcs.envs.setup import Setup
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.rollout.collect import collect
@@ -62,7 +62,7 @@ class CollectCommand(SetupOptions):
     def run(self) -> int:
         """Collect, print the results and return the exit code."""
         console = plain_console(soft_wrap=False)
-        setup = self.setup(cameras=cameras_of(self.hardware))
+        setup = self.setup(cameras=recorded_cameras(self.hardware))
         is_single = bool(self.hardware) or is_placed_by_robot(setup)
         collection = Collection(
             setup=setup,

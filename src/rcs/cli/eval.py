@@ -15,7 +15,7 @@ from rcs.cli.setup_options import SetupOptions
 from rcs.cli.simulator_options import SimulatorOptions
 from rcs.errors import InvalidSetup
 from rcs.rollout.evaluation import Evaluation, Summary
-from rcs.rollout.foreign import setup_of
+from rcs.rollout.foreign import setup_of_simulator
 
 
 @dataclass(kw_only=True)
@@ -46,7 +46,7 @@ class EvalCommand(SetupOptions):
             raise InvalidSetup("Give a task, such as `rcs eval PickCuboid`, a checkpoint, or a --simulator.")
         workers = 1 if simulator is not None and self.pool.workers == 0 else self.pool.processes(self.episodes)
         evaluation = Evaluation(
-            setup=self.setup() if simulator is None else setup_of(simulator),
+            setup=self.setup() if simulator is None else setup_of_simulator(simulator),
             simulator=simulator,
             agent=self.actor,
             episodes=self.episodes,

@@ -146,13 +146,13 @@ class ReplayCommand:
             rows = sum(result.rows for result in results)
             console.print(f"{len(results)} episodes rendered ({rows} rows in {seconds:.1f} s, {rows / seconds:.0f}/s)")
         else:
-            plain_console(width=max(console.width, WIDTH)).print(results_table(results))  # in full
-            console.print(summary(results))
+            plain_console(width=max(console.width, WIDTH)).print(deviations_table(results))  # in full
+            console.print(successes_in_words(results))
         if self.out is not None:
             console.print(f"Dataset: {self.out}")
 
 
-def results_table(results: Sequence[ReexecutionResult]) -> Table:
+def deviations_table(results: Sequence[ReexecutionResult]) -> Table:
     """Return a table with success and deviations of every episode."""
     heads = [head for name, head in MILLI.items() if any(name in result.errors for result in results)]
     names = [name for name, head in MILLI.items() if head in heads]
@@ -171,7 +171,7 @@ def results_table(results: Sequence[ReexecutionResult]) -> Table:
     return table
 
 
-def summary(results: Sequence[ReexecutionResult]) -> str:
+def successes_in_words(results: Sequence[ReexecutionResult]) -> str:
     """Return how many episodes succeed in simulation."""
     recorded = [result for result in results if result.recorded_success]
     words = f"{sum(result.success for result in results)} of {len(results)} succeed in simulation"

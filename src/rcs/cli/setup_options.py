@@ -181,7 +181,7 @@ def changed(setup: Setup, options: Mapping[str, Any]) -> Setup:
     return replace(setup, **changes, cameras=replace(setup.cameras, **of_cameras))
 
 
-def cameras_of(hardware: str | None) -> Any:
+def recorded_cameras(hardware: str | None) -> Any:
     """Return the cameras of a recording if none are given: all, and with real arms those of the site's file."""
     if not hardware:
         return ALL

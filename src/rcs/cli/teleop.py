@@ -15,7 +15,7 @@ from rcs_data.cli.console import plain_console
 from rich.console import Console
 
 from rcs.agents import Agent, agent_for
-from rcs.cli.setup_options import SetupOptions, cameras_of
+from rcs.cli.setup_options import SetupOptions, recorded_cameras
 from rcs.envs.env import Env
 from rcs.envs.observers.record import record
 from rcs.envs.observers.twin import attach_twin
@@ -111,7 +111,7 @@ class TeleopCommand(SetupOptions):
     def _setup(self) -> Any:
         usual: dict[str, Any] = {"binary_gripper": False}
         if self.record is not None or self.measure:
-            usual["cameras"] = cameras_of(self.hardware)
+            usual["cameras"] = recorded_cameras(self.hardware)
         setup = self.setup("realtime", **usual)
         return setup if "max_episode_steps" in self.given else replace(setup, max_episode_steps=None)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rcs.devices import ArmLimits, CameraMode
+from rcs.devices import CameraMode
 from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper, FakeHand
 from rcs.errors import require_fields
 from rcs.hardware.driver import Driver
@@ -28,7 +28,7 @@ class FakeDriver(Driver):
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> FakeArm:
         """Return an arm at its home position."""
         require_fields("option of a fake device", options, ())
-        return FakeArm(limits_of(about), start=np.array(about.home), clock=self._clock, name=address or about.name)
+        return FakeArm(about.arm_limits, start=np.array(about.home), clock=self._clock, name=address or about.name)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FakeGripper:
         """Return an open gripper."""
@@ -59,15 +59,3 @@ class FakeDriver(Driver):
         """Return a sensor that shows a moving ramp."""
         require_fields("option of a fake device", options, ())
         return FakeCamera(mode, clock=self._clock, name=address or about.name)
-
-
-def limits_of(arm: ArmDescription) -> ArmLimits:
-    """Return the limits of an arm's device from its description."""
-    return ArmLimits(
-        list(arm.joint_lower),
-        list(arm.joint_upper),
-        list(arm.velocity_limit),
-        joint_acceleration=list(arm.acceleration_limit),
-        joint_jerk=list(arm.jerk_limit),
-        joint_effort=list(arm.effort_limit),
-    )

@@ -19,7 +19,6 @@ from rcs_data.options import Record
 from rcs.devices import ArmLimits, ArmState, Gripper, GripperState, StreamedArm, StreamOptions, StreamPoint
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.driver import Driver, HostTimes
-from rcs.hardware.fake import limits_of
 from rcs.hardware.link import Link
 from rcs.hardware.servo_bus import TIMEOUT
 from rcs.hardware.so101_servos import (
@@ -287,7 +286,7 @@ class So101Driver(Driver):
         if tuple(about.joints) != NAMES[:5]:
             raise InvalidSetup(f"The driver of SO101 arms cannot drive {about.label}.")
         given = So101Options.from_json(options)
-        limits = _within(limits_of(about), given.motors())
+        limits = _within(about.arm_limits, given.motors())
         return So101Arm(self._servos(address), limits, options=given, name=address)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> So101Gripper:

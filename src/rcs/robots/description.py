@@ -219,6 +219,18 @@ class ArmDescription(Description):
         rates = self.velocity_limit, self.acceleration_limit, self.jerk_limit
         return MotionLimits(list(self.joint_lower), list(self.joint_upper), *map(list, rates))
 
+    @property
+    def arm_limits(self) -> ArmLimits:
+        """Limits of a device that is this arm."""
+        return ArmLimits(
+            list(self.joint_lower),
+            list(self.joint_upper),
+            list(self.velocity_limit),
+            joint_acceleration=list(self.acceleration_limit),
+            joint_jerk=list(self.jerk_limit),
+            joint_effort=list(self.effort_limit),
+        )
+
     def within(self, limits: ArmLimits, device: str) -> ArmDescription:
         """Return the arm with the narrower ones of its limits and those of a device; what is unknown there stays.
 

@@ -326,7 +326,7 @@ class ForeignEnv(Env):
         self._connection.close()
 
 
-def setup_of(simulator: ForeignSimulator) -> Setup:
+def setup_of_simulator(simulator: ForeignSimulator) -> Setup:
     """Return the setup of a simulator, which is started for a moment; raises as `ForeignEnv`."""
     env = ForeignEnv(simulator)
     try:

@@ -244,14 +244,14 @@ def judged(found: SetDown, wanted: Poses, seen: Poses, name: str) -> dict[str, A
         seen: Where the objects lie.
         name: Name of the object.
     """
-    off, angle = deviation(wanted[name], seen[name])
+    off, angle = offset(wanted[name], seen[name])
     if off > ASTRAY[0] or angle > ASTRAY[1]:
         return by_reset(f"it lies {1e3 * off:.1f} mm and {np.rad2deg(angle):.1f} degrees off", found)
     reach = {"out_of_reach": found.out_of_reach} if found.out_of_reach else {}
     return {"by": "robot", "off_mm": 1e3 * off, "off_deg": float(np.rad2deg(angle)), **reach}
 
 
-def deviation(wanted: NDArray[np.float64], pose: NDArray[np.float64]) -> tuple[float, float]:
+def offset(wanted: NDArray[np.float64], pose: NDArray[np.float64]) -> tuple[float, float]:
     """Return distance [m] and angle [rad] between poses of a cuboid, which looks the same after half a turn."""
     turned = Pose.from_tquat(pose) * Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, np.pi))
     ways: Sequence[NDArray[np.float64]] = [distance(wanted, pose), distance(wanted, turned.tquat)]

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from rcs.devices import Arm, ArmState
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.hardware.fake import limits_of
 from rcs.robots.description import ArmDescription, GripperDescription
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.timed_world import SMOOTHING, TimedWorld
@@ -62,7 +61,7 @@ class StandInArm(Arm):
         for what, value, unit in (("delay", delay, "s"), ("noise", noise, "rad")):
             if not (math.isfinite(value) and value >= 0):
                 raise InvalidSetup(f"{what} is {value!r} {unit}; valid is a finite number of at least 0.")
-        super().__init__(name, limits_of(about))
+        super().__init__(name, about.arm_limits)
         self.delay = delay
         """Delay between a command and the resulting motion [s]."""
         self._placement = RobotPlacement(name=_NAME, arm=about, gripper=gripper)

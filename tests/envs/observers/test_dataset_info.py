@@ -1,14 +1,14 @@
 from __future__ import annotations
 
 import rcs
-from rcs.envs.observers.dataset_info import dataset_info, limits_of
+from rcs.envs.observers.dataset_info import bounds_of_joints, dataset_info
 from rcs.robots.fr3 import FR3
 
 
 def test_a_recording_knows_the_limits_of_its_arm() -> None:
     with rcs.make("PickCuboid", robot="fr3", cameras=()) as env:
         info = dataset_info(env)
-    assert info.feature("observation/joints").limits == limits_of(FR3)
+    assert info.feature("observation/joints").limits == bounds_of_joints(FR3)
     assert info.feature("observation/joint_velocities").limits is None
 
 

@@ -17,7 +17,6 @@ from rcs.envs.env import Env
 from rcs.envs.ports.device_calls import Freshness
 from rcs.errors import DeviceFault
 from rcs.hardware import Site
-from rcs.hardware.fake import limits_of
 from rcs.robots.fr3 import FR3
 
 HOME = np.array(FR3.home)
@@ -39,7 +38,7 @@ def make(arm: FakeArm | None = None, gripper: Any = None, *, frequency: float = 
 
 
 def home_arm(kind: type[FakeArm] = FakeArm) -> FakeArm:
-    return kind(limits_of(FR3), start=HOME)
+    return kind(FR3.arm_limits, start=HOME)
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
@@ -347,7 +346,7 @@ class Servo(StreamedArm):
     """An FR3 whose joints are where the points say."""
 
     def __init__(self) -> None:
-        super().__init__("servo", limits_of(FR3), StreamOptions(rate=100.0, missed_ticks=1000, silence=5.0))
+        super().__init__("servo", FR3.arm_limits, StreamOptions(rate=100.0, missed_ticks=1000, silence=5.0))
         self.joints, self.velocities = np.array(FR3.home), np.zeros(FR3.dof)
 
     def _read(self) -> ArmState:

@@ -16,7 +16,6 @@ from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.envs.env import Env
 from rcs.errors import DeviceFault, InvalidSetup, Refused, WrongOrder
 from rcs.hardware import Site
-from rcs.hardware.fake import limits_of
 from rcs.robots.fr3 import FR3
 
 HOME = np.array(FR3.home)
@@ -27,7 +26,7 @@ class TracedArm(FakeArm):
     """Remembers what it was sent, and when."""
 
     def __init__(self, limits: ArmLimits | None = None, start: np.ndarray = HOME) -> None:
-        super().__init__(limits or limits_of(FR3), start=start)
+        super().__init__(limits or FR3.arm_limits, start=start)
         self.sent: list[tuple[float, np.ndarray]] = []
 
     def _command_joints(self, joints: np.ndarray) -> None:
@@ -100,7 +99,7 @@ def test_without_leave_or_sense_nothing_moves(options: dict[str, Any], error: ty
 
 def test_who_is_found_outside_of_its_range_stays_there_while_another_arm_goes() -> None:
     narrow = FR3.within(ArmLimits(list(HOME - 0.3), list(HOME + 0.3), list(FR3.velocity_limit)), "narrow")
-    left, right = TracedArm(), TracedArm(limits_of(narrow), HOME + 0.4)
+    left, right = TracedArm(), TracedArm(narrow.arm_limits, HOME + 0.4)
     site = Site(arms={"left": left, "right": right}, arm_stale_after=60.0)
     with rcs.make("Free", robot="dual_fr3", end_effector=None, hardware=site, frequency=50.0) as env:
         env.reset(seed=0, options={"robot": {"left": {"joints": HOME + 0.2}}, "may_move": True, "speed": 0.5})

@@ -25,7 +25,7 @@ LAB = {"LiftBar": "dual_fr3"}
 OBSERVED = ("torques", "wrench", "contacts")
 
 
-def setup_of(task: str, **options: Any) -> Setup:
+def setup_for(task: str, **options: Any) -> Setup:
     return Setup(task=task, robot=LAB.get(task, "fr3"), max_episode_steps=None, observe=OBSERVED, **options)
 
 
@@ -40,7 +40,7 @@ def run(env: Any, actions: list[Any]) -> list[Any]:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_every_task_goes_on_with_the_same_bits_in_another_environment(task: str) -> None:
-    with_all = setup_of(task, randomisation=True)
+    with_all = setup_for(task, randomisation=True)
     one, other = rcs.make(with_all), rcs.make(with_all)
     one.reset(seed=5)
     other.reset(seed=8)
@@ -58,13 +58,13 @@ def test_every_task_goes_on_with_the_same_bits_in_another_environment(task: str)
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("copies", [None, 2])
 def test_every_randomised_task_goes_back_to_its_start(task: str, copies: int | None) -> None:
-    require_way_back(setup_of(task, randomisation=True), copies)
+    require_way_back(setup_for(task, randomisation=True), copies)
 
 
 @pytest.mark.parametrize("randomisation", [False, True])
 @pytest.mark.parametrize("robot", ["ur5e", "xarm7", "so101", "dual_fr3"])
 def test_every_robot_goes_back_to_its_start(robot: str, randomisation: bool) -> None:
-    require_way_back(replace(setup_of("Free", randomisation=randomisation), robot=robot))
+    require_way_back(replace(setup_for("Free", randomisation=randomisation), robot=robot))
 
 
 def require_way_back(setup: Setup, copies: int | None = None) -> None:
@@ -79,7 +79,7 @@ def require_way_back(setup: Setup, copies: int | None = None) -> None:
 
 @pytest.mark.parametrize("copies", [None, 2])
 def test_a_state_from_before_the_first_load_has_none(copies: int | None) -> None:
-    setup = setup_of("PickCuboid")
+    setup = setup_for("PickCuboid")
     env: Any = rcs.make(setup) if copies is None else rcs.make_vec(setup, copies=copies)
     env.reset(seed=5)
     actions = drawn(env, 3)
@@ -113,7 +113,7 @@ def test_control_by_velocities_goes_on_with_the_same_bits(stepping: Any) -> None
 
 
 def require_continuation(control: Any, relative: Any, stepping: Any) -> None:
-    env = rcs.make(setup_of("PickCuboid", control=control, relative=relative, stepping=stepping))
+    env = rcs.make(setup_for("PickCuboid", control=control, relative=relative, stepping=stepping))
     env.reset(seed=1)
     actions = near(env, 3)
     run(env, actions)
@@ -143,7 +143,7 @@ def near(env: Any, count: int) -> list[Any]:
 
 
 def test_the_observation_of_a_state_is_the_one_that_was_seen_in_it() -> None:
-    env = rcs.make(setup_of("PickCuboid"))
+    env = rcs.make(setup_for("PickCuboid"))
     env.reset(seed=1)
     seen = run(env, drawn(env, 5))[-1][0]
     state = env.get_state()
@@ -189,13 +189,13 @@ def require_exchange(batch: rcs.VecEnv, single: rcs.Env) -> None:
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_copies_and_single_environments_go_on_from_each_others_states(threads: int) -> None:
-    setup = setup_of("PickCuboid", randomisation=True)
+    setup = setup_for("PickCuboid", randomisation=True)
     batch, single = rcs.make_vec(setup, copies=3, threads=threads), rcs.make(setup)
     require_exchange(batch, single)
 
 
 def test_a_state_of_one_copy_is_set_in_all_and_the_others_stay() -> None:
-    batch = rcs.make_vec(setup_of("PickCuboid"), copies=3)
+    batch = rcs.make_vec(setup_for("PickCuboid"), copies=3)
     batch.reset(seed=7)
     actions = drawn(batch, 2)
     run(batch, actions)
@@ -281,8 +281,8 @@ def test_copies_and_single_environments_go_on_with_each_others_late_frames(pixel
     ],
 )
 def test_a_state_of_another_environment_is_refused(options: Mapping[str, Any], words: str) -> None:
-    env = rcs.make(setup_of("PickCuboid"))
-    other = rcs.make(replace(setup_of("PickCuboid"), **options))
+    env = rcs.make(setup_for("PickCuboid"))
+    other = rcs.make(replace(setup_for("PickCuboid"), **options))
     env.reset(seed=0)
     other.reset(seed=0)
     with pytest.raises(InvalidSetup, match=words):

@@ -156,11 +156,11 @@ def with_limits(features: Sequence[Feature], robot: str | Mapping[str, str] | No
         robot: The robot of the setup: an arm, a lab, or arms by name; None where there is no setup.
     """
     arms = {} if robot is None else _arms_of(robot)
-    limits = {f"observation/{name}/joints".replace("//", "/"): limits_of(arm) for name, arm in arms.items()}
+    limits = {f"observation/{name}/joints".replace("//", "/"): bounds_of_joints(arm) for name, arm in arms.items()}
     return [replace(feature, limits=limits.get(feature.key)) for feature in features]
 
 
-def limits_of(arm: ArmDescription) -> JointBounds:
+def bounds_of_joints(arm: ArmDescription) -> JointBounds:
     """Return the limits of an arm's joints as a dataset has them."""
     return JointBounds(
         arm=arm.label, names=arm.joints, lower=arm.joint_lower, upper=arm.joint_upper, velocity=arm.velocity_limit
