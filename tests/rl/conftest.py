@@ -40,9 +40,9 @@ class Small:
 
     def run(self, training: Training, out: Path, updates: int | None = None) -> Any:
         """Train, to the end or until a kill after so many yields; return the progress."""
-        from rcs.rl.train import Progress, train
+        from rcs.rl.train import TrainingProgress, train
 
-        progress = Progress()
+        progress = TrainingProgress()
         running = train(training, out, progress, threads=1, videos=False)
         for number, _ in enumerate(running, 1):
             if number == updates:

@@ -14,8 +14,7 @@ from rcs_data.convert.recipe.recipe import LerobotPolicy
 from rcs_data.read.verdicts import wilson_interval
 from rcs_data.view.charts import short
 from rich.console import Console
-from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
-from rich.progress import Progress as Bar
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
 from rcs.cli.runs import interruptible
@@ -26,7 +25,7 @@ from rcs.errors import InvalidSetup
 from rcs.rl.checkpoint import Score, read_training
 from rcs.rl.recipes import RECIPES, recipe_for
 from rcs.rl.report import write_report
-from rcs.rl.train import Progress, require_trainable, train
+from rcs.rl.train import TrainingProgress, require_trainable, train
 from rcs.rl.training import AlgorithmName, Course, Training
 from rcs.setups.lab import lab_of
 from rcs.setups.resolve import with_camera_names
@@ -83,7 +82,7 @@ class TrainCommand:
 
     def run(self) -> int:
         """Train, print the results and return the exit code."""
-        console, progress = plain_console(soft_wrap=False), Progress()
+        console, progress = plain_console(soft_wrap=False), TrainingProgress()
         if self.policy is not None:
             return train_policy(self._imitation(self.policy), console)
         if self.dataset or self.lerobot_environment or self.state or self.lerobot:
@@ -198,7 +197,9 @@ class _TimeLeft(ProgressColumn):
         return Text(f"{minutes // 60}:{minutes % 60:02}:{seconds:02} left")
 
 
-def _show(training: Training, out: Path, progress: Progress, console: Console, threads: int, videos: bool) -> None:
+def _show(
+    training: Training, out: Path, progress: TrainingProgress, console: Console, threads: int, videos: bool
+) -> None:
     setup = training.setup
     require_trainable(training)
     console.print(
@@ -214,7 +215,7 @@ def _show(training: Training, out: Path, progress: Progress, console: Console, t
         _TimeLeft(),
     )
     noted, scored = 0, progress.score
-    with Bar(*columns, console=console) as bar:
+    with Progress(*columns, console=console) as bar:
         task = bar.add_task("", total=training.steps, doing=progress.doing, speed=0.0, made="", text="")
         for _ in train(training, out, progress, threads=threads, videos=videos):
             for note in progress.notes[noted:]:
@@ -231,7 +232,7 @@ def _show(training: Training, out: Path, progress: Progress, console: Console, t
         console.print(note, soft_wrap=True)
 
 
-def _summarise(progress: Progress, out: Path, console: Console) -> None:
+def _summarise(progress: TrainingProgress, out: Path, console: Console) -> None:
     minutes, seconds = divmod(round(progress.seconds), 60)
     console.print(f"{progress.steps} steps in {minutes} min {seconds} s.", soft_wrap=True)
     if progress.best is not None and progress.best.score is not None:

@@ -57,7 +57,7 @@ _ROWS = 200
 
 
 @dataclass(kw_only=True)
-class Progress:
+class TrainingProgress:
     """The progress of a training. Its reader may set `is_interrupted`."""
 
     steps: int = 0
@@ -81,8 +81,13 @@ class Progress:
 
 
 def train(
-    training: Training, out: str | Path, progress: Progress | None = None, *, threads: int = 0, videos: bool = True
-) -> Iterator[Progress]:
+    training: Training,
+    out: str | Path,
+    progress: TrainingProgress | None = None,
+    *,
+    threads: int = 0,
+    videos: bool = True,
+) -> Iterator[TrainingProgress]:
     """Train until all steps are made, and yield after every update and every episode of an evaluation.
 
     If there is a run of the same training in the folder, it continues from the newest checkpoint that is not damaged.
@@ -104,7 +109,7 @@ def train(
         >>> for progress in train(recipe_for("PickCuboid"), "runs/pick"):
         ...     print(progress.steps, progress.score)
     """
-    progress = Progress() if progress is None else progress
+    progress = TrainingProgress() if progress is None else progress
     require_trainable(training)
     run = Path(out)
     with lock_run(run):
@@ -218,7 +223,7 @@ def learner_for(training: Training, *, threads: int = 0) -> Learner:
 class _Run:
     """One process of a training."""
 
-    def __init__(self, run: Path, training: Training, progress: Progress, threads: int, videos: bool) -> None:
+    def __init__(self, run: Path, training: Training, progress: TrainingProgress, threads: int, videos: bool) -> None:
         self._run, self._progress, self._threads, self._videos = run, progress, threads, videos
         progress.total = training.steps
         if not training.torch_threads:
@@ -266,7 +271,7 @@ class _Run:
             )
         return None
 
-    def train(self) -> Iterator[Progress]:
+    def train(self) -> Iterator[TrainingProgress]:
         """Train; see the function `train`."""
         progress, learner, training = self._progress, self._learner, self._training
         begun = -1 if self._last is None else self._last.steps
@@ -313,7 +318,7 @@ class _Run:
         progress = self._progress
         progress.doing, progress.steps, progress.seconds = doing, self._learner.steps, self._seconds()
 
-    def _evaluate_and_save(self) -> Iterator[Progress]:
+    def _evaluate_and_save(self) -> Iterator[TrainingProgress]:
         """Evaluate the policy and write its checkpoint."""
         progress, training = self._progress, self._training
         self._update("evaluating")
