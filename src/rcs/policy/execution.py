@@ -11,8 +11,8 @@ from typing import Literal
 
 from rcs_data.options import NotNegative, Record, Whole
 
+from rcs.background_thread import BackgroundThread
 from rcs.policy.plan import Blend, ChunkPlan, Command, Ensemble, Plan
-from rcs.worker import Worker
 
 Mode = Literal["open_loop", "receding", "ensemble", "rtc"]
 """`open_loop`: execute some rows, hold, call the policy. `receding`: call it while the rest of the chunk is executed,
@@ -99,7 +99,7 @@ class Executor:
         """
         self._execution, self._period = execution, period
         self._valid_for = math.inf if execution.valid_for is None else execution.valid_for
-        self._worker = None if thread is None else Worker(thread, PolicyCall.run)
+        self._thread = None if thread is None else BackgroundThread(thread, PolicyCall.run)
         self.error: Exception | None = None
         """The error because of which the robot holds."""
         self.chunks = 0
@@ -154,8 +154,8 @@ class Executor:
 
     def close(self) -> None:
         """End the thread; one that waits for a silent policy is left behind after a second."""
-        if self._worker is not None:
-            self._worker.close(timeout=1.0)
+        if self._thread is not None:
+            self._thread.close(timeout=1.0)
 
     def _is_due(self, now: float) -> bool:
         if self.error is not None:
@@ -167,17 +167,17 @@ class Executor:
     def _start(self, now: float, question: Question) -> None:
         """Call the policy, or have the thread call it."""
         self._call = PolicyCall(question(), now)
-        if self._worker is None:
+        if self._thread is None:
             self._call.run()
         else:
-            self._worker.put(self._call)
+            self._thread.put(self._call)
 
     def _take(self, now: float) -> None:
         """Take the result of the call, once it is there."""
         call, latency = self._call, self._execution.latency
         if call is None or not call.is_done.is_set():
             return
-        if self._worker is None and now < call.start + latency - NEAR:
+        if self._thread is None and now < call.start + latency - NEAR:
             return
         self._call = None
         if call.plan is None:
@@ -187,7 +187,7 @@ class Executor:
         if self.error is not None:
             _log.warning("The policy answers again after: %s", self.error)
             self.error = None
-        self.latency = latency if self._worker is None else call.seconds
+        self.latency = latency if self._thread is None else call.seconds
         self._change_over(call.plan, now)
 
     def _change_over(self, new: ChunkPlan, now: float) -> None:

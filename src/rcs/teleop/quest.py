@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import simplejpeg
 
+from rcs.background_thread import BackgroundThread
 from rcs.envs.spaces import FRAMES, RGB, Observation
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.device_clock import DeviceClock
@@ -19,7 +20,6 @@ from rcs.teleop.device import POLL, InputDevice, Reading
 from rcs.teleop.headset_messages import FrameMessage, hand_of
 from rcs.teleop.headset_server import HeadsetServer
 from rcs.teleop.opened import Opened
-from rcs.worker import Worker
 
 PORT = 8443
 PICTURES = 15.0
@@ -110,13 +110,13 @@ class Feedback:
         """
         self._server = server
         self._has_ended = threading.Event()
-        self._worker: Worker[tuple[Observation, Mapping[str, Any]]] = Worker("rcs headset pictures", self._send)
+        self._thread = BackgroundThread[tuple[Observation, Mapping[str, Any]]]("rcs headset pictures", self._send)
 
     def offer(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Have the newest pictures and states sent."""
-        with self._worker.changed:
-            self._worker.waiting.clear()
-            self._worker.put((observation, info))
+        with self._thread.changed:
+            self._thread.waiting.clear()
+            self._thread.put((observation, info))
 
     def must_end(self) -> None:
         """Send no more."""
@@ -125,7 +125,7 @@ class Feedback:
     def close(self) -> None:
         """Wait for the thread, which may still be sending."""
         self.must_end()
-        self._worker.close(PATIENCE)
+        self._thread.close(PATIENCE)
 
     def _send(self, newest: tuple[Observation, Mapping[str, Any]]) -> None:
         if self._has_ended.is_set():

@@ -14,10 +14,10 @@ from typing import Any
 
 from rcs_data.options import require_whole
 
+from rcs.background_thread import BackgroundThread
 from rcs.envs.observer import Observer, Transition
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup, WrongOrder
-from rcs.worker import Worker
 
 _log = logging.getLogger(__name__)
 
@@ -64,14 +64,14 @@ class InBackground(Observer):
         """Steps that were left out because the observer was too slow."""
         self._bound = bound
         self._name = type(observer).__name__
-        self._worker: Worker[_Call] = Worker(f"rcs observer {self._name}", lambda call: call.make())
+        self._thread = BackgroundThread[_Call](f"rcs observer {self._name}", lambda call: call.make())
         self._is_closed = False
         self._steps = 0
 
     @property
     def error(self) -> Exception | None:
         """The exception that the observer raised."""
-        return self._worker.error
+        return self._thread.error
 
     def on_reset(self, first: Transition, seed: int | None) -> None:
         """Queue the start of an episode."""
@@ -103,7 +103,7 @@ class InBackground(Observer):
         Returns:
             Whether it has.
         """
-        return self._worker.wait(timeout)
+        return self._thread.wait(timeout)
 
     def close(self) -> None:
         """Let the observer see the steps that wait, end the thread and close the observer. Closing twice is harmless.
@@ -113,11 +113,11 @@ class InBackground(Observer):
         """
         if self._is_closed:
             return
-        if self._worker.is_current:
+        if self._thread.is_current:
             raise WrongOrder("An observer cannot close the thread that it runs in; close the environment instead.")
         self.wait()
         self._is_closed = True
-        if not self._worker.close(PATIENCE):
+        if not self._thread.close(PATIENCE):
             _log.error("The observer %s is still busy after %g s; its thread is left behind.", self._name, PATIENCE)
         if self.missed:
             _log.warning("%s was too slow and missed %d of %d steps.", self._name, self.missed, self._steps)
@@ -128,8 +128,8 @@ class InBackground(Observer):
     def _put(self, call: Callable[[], None], *, is_step: bool) -> None:
         if self.error is not None or self._is_closed:
             return
-        with self._worker.changed:
-            waiting = self._worker.waiting
+        with self._thread.changed:
+            waiting = self._thread.waiting
             self._steps += is_step
             if len(waiting) >= self._bound:
                 if is_step:
@@ -138,7 +138,7 @@ class InBackground(Observer):
                 if (step := next((one for one in waiting if one.is_step), None)) is not None:
                     waiting.remove(step)
                     self.missed += 1
-            self._worker.put(_Call(call, is_step))
+            self._thread.put(_Call(call, is_step))
 
 
 @dataclass(frozen=True, eq=False)

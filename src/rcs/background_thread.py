@@ -13,7 +13,7 @@ _log = logging.getLogger(__name__)
 Item = TypeVar("Item")
 
 
-class Worker(Generic[Item]):
+class BackgroundThread(Generic[Item]):
     """Handles items one after the other on a thread of its own, which starts with the first item.
 
     An exception in the handler is logged, kept in `error`, and ends the work.
@@ -39,7 +39,7 @@ class Worker(Generic[Item]):
 
     @property
     def is_current(self) -> bool:
-        """Whether the calling thread is that of the worker."""
+        """Whether the calling thread is this one."""
         return threading.current_thread() is self._thread
 
     def put(self, item: Item) -> None:
