@@ -169,9 +169,9 @@ def test_what_is_wrong_is_said(
     ("arguments", "told"),
     [
         (["Free"], "Free has no reward"),
-        (["StackCuboid", "--algo", "dagger"], "has one for PickCuboid, Place, not for 'StackCuboid'"),
+        (["StackCuboid", "--algorithm", "dagger"], "has one for PickCuboid, Place, not for 'StackCuboid'"),
         (
-            ["PickCuboid", "--algo", "dagger", "--robot", "xarm7"],
+            ["PickCuboid", "--algorithm", "dagger", "--robot", "xarm7"],
             "the lab of 'xarm7' lacks; it has front. Choose with",
         ),
         (["PickCuboid", "--device", "tpu"], "device is 'tpu', on which torch cannot compute here; valid is cpu"),

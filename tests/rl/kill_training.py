@@ -1,6 +1,6 @@
 """Kill a training with SIGKILL at random moments, let it go on each time, and compare it with one that was not.
 
-    python tests/rl/kill_training.py --trials 20 --algo ppo
+    python tests/rl/kill_training.py --trials 20 --algorithm ppo
 
 Prints one JSON object: kills, those of them while it learned, saved or evaluated, checkpoints that were there before a
 kill and not after it, steps at the end, whether the figures of the curve are those of the unbroken run, each step once,
@@ -28,10 +28,10 @@ EVERY = 60
 """Steps between two checkpoints; an update of the recipe has some more."""
 
 
-def command(out: Path, algo: str, steps: int) -> list[str]:
+def command(out: Path, algorithm: str, steps: int) -> list[str]:
     """Return the command that trains into a folder."""
     every = ["--evaluate-every", str(8 * EVERY), "--checkpoint-every", str(EVERY)]
-    words = ["train", "PickCuboid", "--algo", algo, "--out", str(out), "--steps", str(steps), *every, *SMALL]
+    words = ["train", "PickCuboid", "--algorithm", algorithm, "--out", str(out), "--steps", str(steps), *every, *SMALL]
     return [sys.executable, "-c", "from rcs.cli.main import main; main()", *words]
 
 
@@ -58,7 +58,7 @@ def main() -> None:
     """Train, kill, go on, compare, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=20)
-    parser.add_argument("--algo", default="ppo")
+    parser.add_argument("--algorithm", default="ppo")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     options = parser.parse_args()
     steps = 480 * (options.trials + 2)
@@ -66,13 +66,13 @@ def main() -> None:
     lost, kills, at_work = 0, 0, 0
     with tempfile.TemporaryDirectory(prefix="rcs-kill-") as folder:
         whole, out = Path(folder) / "whole", Path(folder) / "killed"
-        subprocess.run(command(whole, options.algo, steps), check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(command(whole, options.algorithm, steps), check=True, stdout=subprocess.DEVNULL)
         rows = [json.loads(line)["seconds"] for line in (whole / "metrics.jsonl").read_text().splitlines()]
         a_while = 3.0 * rows[-1] * EVERY / steps  # of learning: about three updates with their checkpoints
         while kills < options.trials:
             before = newest(out)
             process = subprocess.Popen(
-                command(out, options.algo, steps), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+                command(out, options.algorithm, steps), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
             )
             if kills % 5 == 4:  # before it is at work: while it starts, reads a checkpoint, removes what is too much
                 time.sleep(draw.uniform(0.0, 6.0))
@@ -90,11 +90,11 @@ def main() -> None:
             # Older ones that were not evaluated go as newer ones come; the newest before must be there, or a newer one.
             lost += newest(out) < before
             print(f"kill {kills}: step {before} -> {newest(out)} of {steps}", file=sys.stderr)
-        subprocess.run(command(out, options.algo, steps), check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(command(out, options.algorithm, steps), check=True, stdout=subprocess.DEVNULL)
         (weights, curve), (own_weights, own_curve) = result(whole), result(out)
         told = {
             "benchmark": "kill_training",
-            "algorithm": options.algo,
+            "algorithm": options.algorithm,
             "kills": kills,
             "kills_at_work": at_work,
             "lost_checkpoints": lost,

@@ -47,10 +47,10 @@ class TrainCommand:
 
     task: Annotated[str, tyro.conf.Positional] = ""
     """Name of the task, such as PickCuboid, or `module:Class`."""
-    algo: AlgorithmName = "ppo"
+    algorithm: AlgorithmName = "ppo"
     """Algorithm that learns."""
     out: Path | None = None
-    """Folder of the run; by default `runs/TASK-ROBOT-ALGO-SEED`."""
+    """Folder of the run; by default `runs/TASK-ROBOT-ALGORITHM-SEED`."""
     resume: Path | None = None
     """Folder of a run to go on with, in place of a task; other options are then those of its beginning."""
     steps: int | None = None
@@ -145,7 +145,7 @@ class TrainCommand:
             **vars(self.course),
         )
         name = self.task.replace(":", ".").replace(os.sep, ".")
-        run = f"{name}-{setup.robot_label}-{self.algo}-{self.course.seed}"
+        run = f"{name}-{setup.robot_label}-{self.algorithm}-{self.course.seed}"
         return training, self.out or Path("runs", run)
 
     def _recipe(self) -> Training:
@@ -154,17 +154,17 @@ class TrainCommand:
         Raises:
             InvalidSetup: Its teacher is of another task, or the robot's lab lacks its cameras.
         """
-        recipe = recipe_for(self.task, self.algo, cameras=self._cameras)
-        if hasattr(recipe.algorithm, "teacher") and (self.task, self.algo) not in RECIPES:
-            known = ", ".join(task for task, algorithm in RECIPES if algorithm == self.algo)
+        recipe = recipe_for(self.task, self.algorithm, cameras=self._cameras)
+        if hasattr(recipe.algorithm, "teacher") and (self.task, self.algorithm) not in RECIPES:
+            known = ", ".join(task for task, algorithm in RECIPES if algorithm == self.algorithm)
             raise InvalidSetup(
-                f"{self.algo!r} needs a teacher, and has one for {known}, not for {self.task!r}. Choose one of these, "
-                "or `--algo ppo`; rcs.rl takes teachers of your own."
+                f"{self.algorithm!r} needs a teacher, and has one for {known}, not for {self.task!r}. Choose one of "
+                "these, or `--algorithm ppo`; rcs.rl takes teachers of your own."
             )
         lab, names = lab_of(self._robot).cameras, recipe.setup.cameras.names
         if not self._cameras and not set(names) <= {*lab}:
             raise InvalidSetup(
-                f"The recipe of {self.algo!r} sees {' and '.join(names)}, cameras that the lab of {self._robot!r} "
+                f"The recipe of {self.algorithm!r} sees {' and '.join(names)}, cameras that the lab of {self._robot!r} "
                 f"lacks; it has {', '.join(lab)}. Choose with --cameras."
             )
         return recipe
