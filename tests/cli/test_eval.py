@@ -160,7 +160,7 @@ def test_ctrl_c_ends_after_the_episodes_at_work_and_keeps_the_figures(tmp_path: 
     os.killpg(process.pid, signal.SIGINT)
     told, _ = process.communicate(timeout=60)
     assert process.returncode == 130, told
-    assert "Ending after the episodes at work" in told
+    assert "Ending after the running episodes" in told
     assert "Traceback" not in told
     assert 1 <= len(Ledger(tmp_path).rows) < 500
     assert (tmp_path / "report.html").is_file()

@@ -101,7 +101,7 @@ def test_ctrl_c_while_workers_start_ends_as_at_any_other_time(tmp_path: Path, ve
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers too
     told, _ = process.communicate(timeout=60)
     assert process.returncode == 130, told
-    assert "Ending after the episodes at work" in told
+    assert "Ending after the running episodes" in told
     assert "Traceback" not in told
 
 

@@ -219,6 +219,6 @@ def test_ctrl_c_ends_with_a_checkpoint_and_the_same_command_goes_on(tmp_path: Pa
     process.send_signal(signal.SIGINT)
     told, _ = process.communicate(timeout=60)
     assert process.returncode == 130, told
-    assert "Ending after the update at work" in told
+    assert "Ending after the running update" in told
     assert "Traceback" not in told
     assert f"{newest(run)} steps in" in told

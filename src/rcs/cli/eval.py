@@ -24,7 +24,7 @@ class EvalCommand(SetupOptions):
 
     `rcs eval RUN` takes the best checkpoint of a training, in the environment that it was trained in. Episode i depends
     on the seed and on i alone, whatever the number of workers: two agents meet the same starts. Each episode that ends
-    is in the ledger, and the same command goes on after a kill. Ctrl-C ends after the episodes at work, a second one at
+    is in the ledger, and the same command goes on after a kill. Ctrl-C ends after the running episodes, a second one at
     once.
     """
 

@@ -50,7 +50,7 @@ class RunCommand(SetupOptions):
 
     Control, cameras and their size are those that the policy names, unless they are given. The episodes are none that
     `rcs collect` or a training ever sees. Without `--real-time`, simulated time stands still while the policy computes,
-    and the same seed gives the same episodes. Ctrl-C ends after the episode at work, a second one at once.
+    and the same seed gives the same episodes. Ctrl-C ends after the running episode, a second one at once.
 
     With `--hardware`, the episodes are on real devices, which hold at the end of each, when the policy is late or lost,
     and when anything fails. Without `--judge`, nobody says how they went.
@@ -125,7 +125,8 @@ class RunCommand(SetupOptions):
             )
         started, videos = time.perf_counter(), 0
         try:
-            with interruptible(summary, console, "Ending after the episode at work; Ctrl-C again ends at once."):
+            text = "Ending after the running episode; press Ctrl-C again to end at once."
+            with interruptible(summary, console, text):
                 self._episodes(evaluation, summary, console, foreign)
             videos = self.ledger.videos
         finally:

@@ -28,7 +28,7 @@ from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.logbook import differs
 from rcs.rollout.recorded_films import cut_films
 
-ENDING = "Ending after the episodes at work; Ctrl-C again ends at once."
+ENDING = "Ending after the running episodes; press Ctrl-C again to end at once."
 """Message at the first Ctrl-C."""
 
 
@@ -161,7 +161,7 @@ def _outcome(result: Row | EpisodeResult) -> str:
 
 
 class Interruptible(Protocol):
-    """A run that ends after what is at work once it is interrupted."""
+    """A run that ends after what is running once it is interrupted."""
 
     is_interrupted: bool
 
@@ -251,7 +251,7 @@ def _rate(summary: Summary, word: str = " success") -> str:
 
 @contextmanager
 def interruptible(run: Interruptible, console: Console, text: str = ENDING) -> Generator[None]:
-    """Let the first Ctrl-C end a run, which says so, after what is at work; the second, or SIGTERM, at once."""
+    """Let the first Ctrl-C end a run, which says so, after what is running; the second, or SIGTERM, at once."""
 
     def on_interrupt(number: int, frame: object) -> None:
         if run.is_interrupted:

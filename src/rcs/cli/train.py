@@ -41,7 +41,7 @@ class TrainCommand:
     """Train a policy by reinforcement learning and write a report page; with `--policy`, by imitation of a dataset.
 
     Options that are not given are those of the task's recipe. The same command, or `--resume`, goes on with a training
-    that was killed, from its last checkpoint, and ends with the same weights. Ctrl-C ends after the update at work,
+    that was killed, from its last checkpoint, and ends with the same weights. Ctrl-C ends after the running update,
     with a checkpoint; a second one at once. `rcs eval RUN` evaluates what was learned.
     """
 
@@ -89,7 +89,8 @@ class TrainCommand:
             raise InvalidSetup("--dataset, --environment, --state and --lerobot belong to --policy; give one.")
         training, out = self._training()
         try:
-            with interruptible(progress, console, "Ending after the update at work; Ctrl-C again ends at once."):
+            text = "Ending after the running update; press Ctrl-C again to end at once."
+            with interruptible(progress, console, text):
                 _show(training, out, progress, console, self.threads, self.video)
         finally:
             if progress.steps:

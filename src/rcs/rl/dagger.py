@@ -166,7 +166,7 @@ class DaggerLearner(Learner):
         return figures
 
     def state(self) -> dict[str, Any]:
-        """Return everything but weights and replay: optimiser, random numbers, episodes at work."""
+        """Return everything but weights and replay: optimiser, random numbers, running episodes."""
         return {
             "optimiser": self._optimiser.state_dict(),
             "row": self._row,

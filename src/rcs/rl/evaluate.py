@@ -33,7 +33,7 @@ def evaluate_in_batch(
 
     Args:
         evaluation: The evaluation; its agent is the path of a checkpoint. `workers` is not used.
-        summary: Takes the attempts; set its `is_interrupted` to end after the episodes at work.
+        summary: Takes the attempts; set its `is_interrupted` to end after the running episodes.
         copies: Most episodes at a time.
         threads: Threads for physics and drawing, 0 for one per CPU.
 

@@ -65,7 +65,7 @@ class Learner(ABC):
 
     @abstractmethod
     def state(self) -> dict[str, Any]:
-        """Return everything else but the replay: optimisers, counters, random numbers, episodes at work."""
+        """Return everything else but the replay: optimisers, counters, random numbers, running episodes."""
 
     def load(self, weights: Mapping[str, Any], state: Mapping[str, Any], replay: Iterable[Mapping[str, Any]]) -> None:
         """Continue from a saved state.
@@ -171,7 +171,7 @@ class Sb3Learner(Learner):
         return figures
 
     def state(self) -> dict[str, Any]:
-        """Return everything but weights and replay: optimisers, counters, random numbers, episodes at work."""
+        """Return everything but weights and replay: optimisers, counters, random numbers, running episodes."""
         model, torch = self.model, package_of("rl", "torch")
         return {
             "optimisers": {name: own for name, own in model.get_parameters().items() if name != "policy"},

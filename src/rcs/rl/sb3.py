@@ -134,7 +134,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         self._lengths[ended] = 0
 
     def statistics(self) -> dict[str, NDArray[Any]]:
-        """Return the counters of the episodes at work, to continue them later, an array (copies,) each."""
+        """Return the counters of the running episodes, to continue them later, an array (copies,) each."""
         return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
 
     def set_statistics(self, statistics: Mapping[str, NDArray[Any]]) -> None:

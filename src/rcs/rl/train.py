@@ -77,7 +77,7 @@ class TrainingProgress:
     notes: list[str] = field(default_factory=list[str])
     """Messages for a person: where training continues, what is damaged."""
     is_interrupted: bool = False
-    """Set it to end after the update at work, with a checkpoint."""
+    """Set it to end after the running update, with a checkpoint."""
 
 
 def train(

@@ -161,7 +161,7 @@ class Logbook(Closing):
                 summary.found += 1
 
     def missing(self, summary: Summary) -> Iterator[int]:
-        """Yield the numbers to be run, each when it is asked for; those at work elsewhere are left to others."""
+        """Yield the numbers to be run, each when it is asked for; those running elsewhere are left to others."""
         for number in self._evaluation.numbers:
             if summary.is_interrupted or self.is_decided(summary):
                 return
@@ -169,7 +169,7 @@ class Logbook(Closing):
                 yield number
 
     def is_missing(self, number: int) -> bool:
-        """Return whether an episode is neither there nor at work elsewhere; it is then this process's own."""
+        """Return whether an episode is neither there nor running elsewhere; it is then this process's own."""
         key, repeat = key_of(self.hash, self._evaluation.seed_of(number)), self._evaluation.repeat_of(number)
         return self.row_of(number) is None and self.ledger.claim(key, repeat)
 

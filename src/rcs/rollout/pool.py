@@ -87,7 +87,7 @@ class WorkerPool(Closing):
         self._pool.shutdown(cancel_futures=True)
 
     def __exit__(self, *error: object) -> None:
-        """Close it; after Ctrl-C at once, without the numbers at work."""
+        """Close it; after Ctrl-C at once, without the numbers that are running."""
         if any(isinstance(one, KeyboardInterrupt) for one in error):
             self._kill()
         self.close()

@@ -17,7 +17,7 @@ import rcs
 from rcs.agents import Agent
 from rcs.rollout import Evaluation, Outlines, PersonJudge, Summary
 from rcs.rollout.blind import evaluate_blind
-from rcs.rollout.interactive.judge_page import AT_WORK, JudgePage
+from rcs.rollout.interactive.judge_page import RUNNING, JudgePage
 from rcs.rollout.outlines import COLOUR
 
 DETAILS = "[...document.querySelectorAll('input')].find((one) => one.className.includes('TextInput'))"
@@ -117,7 +117,7 @@ def test_two_policies_are_judged_blindly_on_a_page(chromium: Any, tmp_path: Path
         click("Go on")
         thread.join(60)
         assert errors == []
-        until(AT_WORK)
+        until(RUNNING)
         assert not chromium.errors
         observation, _ = env.reset(seed=0)
         picture = page.pictures(observation, 0)["side"]

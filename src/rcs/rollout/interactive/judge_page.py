@@ -27,7 +27,7 @@ BUTTONS: Mapping[str, tuple[str, Literal["Y", "N", "K", "U", "G"]]] = {
     "Done": ("y", "Y"), "Not done": ("n", "N"), "Not known": ("?", "K"), "Undo last": (UNDO, "U"), "Go on": ("", "G"),
 }  # fmt: skip
 """Buttons, the words that they stand for, and keys that do the same."""
-AT_WORK = "An episode is at work."
+RUNNING = "An episode is running."
 
 
 class JudgePage(Page):
@@ -63,7 +63,7 @@ class JudgePage(Page):
                     gui = self._server.gui
                     self._pictures[name] = gui.add_image(picture, label=name, format="jpeg", jpeg_quality=90)
             time.sleep(PERIOD)
-        self._text.content, self._details.value = AT_WORK, ""
+        self._text.content, self._details.value = RUNNING, ""
         return self._lines.get()
 
     def pictures(self, observation: Observation, seed: int | None) -> dict[str, NDArray[np.uint8]]:
@@ -81,7 +81,7 @@ class JudgePage(Page):
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         gui.set_panel_label("Judge")
-        self._text = gui.add_markdown(AT_WORK)
+        self._text = gui.add_markdown(RUNNING)
         self._details = gui.add_text("Details", "", hint="Number of stages that were reached, #tags, words; or none")
         group = gui.add_button_group(
             "Answer", tuple(BUTTONS), hint=", ".join(f"{BUTTONS[one][1]}: {one}" for one in BUTTONS)

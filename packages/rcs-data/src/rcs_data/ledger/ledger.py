@@ -131,7 +131,7 @@ class Ledger(Closing):
         return True
 
     def claim(self, key: str, repeat: int = 0) -> bool:
-        """Return whether an episode is neither there nor at work elsewhere; it is then this process's own.
+        """Return whether an episode is neither there nor running elsewhere; it is then this process's own.
 
         Args:
             key: Its key.
