@@ -254,7 +254,7 @@ def test_devices_are_found_by_name_with_their_address(monkeypatch: pytest.Monkey
 def test_an_unknown_device_lists_the_known_ones() -> None:
     import rcs
 
-    with pytest.raises(UnknownName, match="operator"):
+    with pytest.raises(UnknownName, match="no input device named"):
         operator_for(rcs.make("Free"), "joistick")
 
 

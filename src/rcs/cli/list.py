@@ -69,7 +69,12 @@ _PARTS: tuple[tuple[str, str, Callable[[Any], str] | None], ...] = (
     ("tactile", "tactile sensor", lambda it: f"{it.label}, on the pads of {', '.join(lookup.names('gripper'))}"),
     ("camera", "camera", lambda it: f"{it.label}, {'colour and depth' if it.has_depth else 'colour'}"),
     ("lab", "robot", _lab),
-    *((kind, kind, None) for kind in ("task", "agent", "operator", "layer", "gate", "driver")),
+    ("task", "task", None),
+    ("agent", "agent", None),
+    ("input", "input device", None),
+    ("layer", "layer", None),
+    ("gate", "gate", None),
+    ("driver", "driver", None),
 )
 """Kinds of parts, their names in the list, and their descriptions; None for the first sentence of the docstring."""
 

@@ -36,7 +36,7 @@ class SimCommand(SetupOptions):
     hardware: str | None = None
     """Real devices: the JSON file of a site, or `driver:address` for all arms with their end effectors."""
     input: str | None = None
-    """Device in your hands that leads in place of the page, as of `rcs teleop`."""
+    """Input device that leads in place of the page, as of `rcs teleop`."""
     record: Path | None = None
     """Folder of the dataset of takes; an existing one is continued. Nothing is recorded by default."""
     instruction: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[TEXT ...]")] = ()

@@ -1,4 +1,4 @@
-"""`rcs teleop`: people lead robots with devices in their hands."""
+"""`rcs teleop`: people lead robots with input devices."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from rcs.teleop.takeover import Takeover, people_of
 
 @dataclass(kw_only=True)
 class TeleopCommand(SetupOptions):
-    """Lead robots, simulated or real, with a device in your hands, and record takes.
+    """Lead robots, simulated or real, with an input device, and record takes.
 
     The robot follows while the clutch is pressed, from where it is, and brakes whenever the device is silent. Buttons
     begin and judge takes. With `--agent`, that acts until you take over. Ctrl-C ends.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import sys
+from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from types import FunctionType, ModuleType
 from typing import Any, Literal
@@ -12,11 +13,13 @@ from typing import Any, Literal
 from rcs.errors import InvalidSetup, UnknownName
 
 Kind = Literal[
-    "arm", "gripper", "hand", "camera", "tactile", "lab", "task", "agent", "layer", "gate", "driver", "operator",
+    "arm", "gripper", "hand", "camera", "tactile", "lab", "task", "agent", "layer", "gate", "driver", "input",
     "wire",
 ]  # fmt: skip
 OBJECTS = ("arm", "gripper", "hand", "camera", "tactile", "lab")
 """Kinds that are objects; the others are classes."""
+WORDS: Mapping[Kind, str] = {"tactile": "tactile sensor", "input": "input device"}
+"""Kinds that messages call by more than the name of their group."""
 
 
 def names(kind: Kind) -> list[str]:
@@ -40,19 +43,19 @@ def find(kind: Kind, given: Any) -> Any:
         return given
     if ":" in given:
         return _import(kind, given)
-    entries = _entries(kind)
+    entries, word = _entries(kind), WORDS.get(kind, kind)
     if given not in entries:
         hint = f"A package registers one in the entry-point group {_group(kind)!r}; `module:Class` is valid too."
         if kind == "driver":
             hint += " A device is 'driver:address', such as 'franka:192.168.0.1'."
-        raise UnknownName(kind, given, entries, hint)
+        raise UnknownName(word, given, entries, hint)
     entry = entries[given]
     try:
         return entry.load()
     except Exception as err:  # a module of another package may raise anything
         package = "" if entry.dist is None else f" of the package {entry.dist.name!r}"
         raise InvalidSetup(
-            f"The {kind} {given!r} is {entry.value!r}{package}, which cannot be imported: {type(err).__name__}: {err}. "
+            f"The {word} {given!r} is {entry.value!r}{package}, which cannot be imported: {type(err).__name__}: {err}. "
             "Fix or uninstall the package."
         ) from err
 
@@ -94,15 +97,15 @@ def _global_of(kind: Kind, given: Any) -> str:
 
 
 def _import(kind: Kind, given: str) -> Any:
-    module, _, path = given.partition(":")
+    (module, _, path), word = given.partition(":"), WORDS.get(kind, kind)
     try:
         found: Any = sys.modules.get(module) or importlib.import_module(module)
     except ImportError as err:
-        raise UnknownName(kind, given, _entries(kind), f"The module {module!r} cannot be imported: {err}.") from err
+        raise UnknownName(word, given, _entries(kind), f"The module {module!r} cannot be imported: {err}.") from err
     for part in path.split("."):
         if not hasattr(found, part):
             hint = "A class inside a function cannot be found by name."
-            raise UnknownName(f"{kind} in the module {module!r}", path, _own_names(found), hint)
+            raise UnknownName(f"{word} in the module {module!r}", path, _own_names(found), hint)
         found = getattr(found, part)
     return found
 

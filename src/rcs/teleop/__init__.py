@@ -1,4 +1,4 @@
-"""Teleoperation: people lead robots by devices in their hands."""
+"""Teleoperation: people lead robots with input devices."""
 
 from rcs_data.lazy import load_on_use
 

@@ -76,7 +76,7 @@ class Reading:
 
 
 class InputDevice(Closing, ABC):
-    """A device in a person's hands. Entry points of `rcs.operators` are called with an address, or with None.
+    """A device by which a person leads robots. Entry points of `rcs.inputs` are called with an address, or with None.
 
     The operator calls `open`, then `read` again and again from one thread of its own, and `close` from any thread.
     `requests` and `feedback` come from the loop's thread and return at once.

@@ -253,7 +253,7 @@ def operator_for(
 
     Args:
         env: The environment.
-        given: A device; or the name of an entry point of `rcs.operators`, or `module:Class`, with an address after
+        given: A device; or the name of an entry point of `rcs.inputs`, or `module:Class`, with an address after
             another colon, if there is a choice.
         options: As of `Operator`.
         robots: As of `Operator`.
@@ -270,12 +270,12 @@ def device_of(given: Any) -> InputDevice:
     if isinstance(given, InputDevice):
         return given
     name, _, address = str(given).partition(":")
-    if address and name not in lookup.names("operator"):
+    if address and name not in lookup.names("input"):
         own, _, address = address.partition(":")
         name = f"{name}:{own}"
-    made = lookup.find("operator", name)(address or None)
+    made = lookup.find("input", name)(address or None)
     if not isinstance(made, InputDevice):
-        raise InvalidSetup(f"The operator {name!r} makes {made!r}; valid is an InputDevice.")
+        raise InvalidSetup(f"The input device {name!r} makes {made!r}; valid is an InputDevice.")
     return made
 
 

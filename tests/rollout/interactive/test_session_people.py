@@ -1,4 +1,4 @@
-"""A session that a person leads with a device in the hand, or takes over: faults, takes and who acted."""
+"""A session that a person leads with an input device, or takes over: faults, takes and who acted."""
 
 from __future__ import annotations
 

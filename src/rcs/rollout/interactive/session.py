@@ -263,7 +263,7 @@ class Session(Closing):
     def release(self) -> None:
         """Have all robots brake and stay, because the page that led is gone; an agent acts no longer.
 
-        A person with a device in the hand still leads, and has the robots where a policy acted.
+        A person at an input device still leads, and has the robots where a policy acted.
         """
         pace = None if people_of(self.agent) else self._take_off_agent()
         self._brake()
