@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -34,8 +33,9 @@ class SessionOptions:
     camera: str = "wrist"
     """Name of the camera. One on a gripper looks at a board that lies still; one that stands still looks at a board
     that the gripper holds."""
-    hardware: Path | None = None
-    """File of the site whose robot and camera are used; without one, all is simulated."""
+    hardware: str | None = None
+    """Real devices: the JSON file of a site, or `driver:address` for all arms with their end effectors. Without it, all
+    is simulated."""
     image_size: tuple[int, int] | None = None
     """Width and height of the pictures [px]; those of the camera's calibration by default."""
     views: int = 20
