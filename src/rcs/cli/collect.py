@@ -38,10 +38,10 @@ class CollectCommand(SetupOptions):
     number of workers nor a cluster changes the data. Ctrl-C ends after the running episodes; a second one ends at once.
 
     With `--task-options placed_by=robot`, the robot sets the object down where the next episode begins, after each
-    success, in simulation and with `--hardware`; otherwise, and after a failure, it is placed as without.
+    success, in simulation and with `--hardware`; otherwise, and after a failure, it is placed as without this option.
 
-    With `--hardware`, arms are real. Before each episode they go home, slowly, and somebody puts the objects where the
-    terminal says; after it, they say whether the task was done. A virtual robot does both by itself.
+    With `--hardware`, arms are real. Before each episode they go home, slowly, and a person puts the objects where the
+    terminal says; afterwards, the person says whether the task was done. A virtual robot does both by itself.
     """
 
     environment: Annotated[CollectFlags, tyro.conf.OmitArgPrefixes] = field(default_factory=CollectFlags)

@@ -21,8 +21,8 @@ from rcs.setups.make import make
 class HomeCommand:
     """Move all arms of a site home, slowly, after a question. Exit code 1 if the answer is no.
 
-    Each joint goes straight to its place, and nothing looks for obstacles but the person who answers. Ctrl-C has all
-    arms hold.
+    Each joint goes straight to its place, and only the person who answers looks for obstacles. Ctrl-C has all arms
+    hold.
     """
 
     site: Path

@@ -62,15 +62,15 @@ class LedgerOptions:
     name: str | None = None
     """Name of the agent in the ledger; by default its own, such as `pick@40000`."""
     tags: dict[str, str] | None = None
-    """Words for the ledger, by which figures can be ordered, such as `mix half`."""
+    """Names and values for the ledger, by which figures can be drawn, such as `mix half`."""
     repeat: int = 0
-    """Run each episode so many times again, though it is there."""
+    """How many more times to run each episode, even if the ledger has it."""
     against: str | None = None
     """Another agent in the ledger, by name or hash, for `--until`."""
     until: float | None = None
     """Level, such as 0.05: end as soon as the seeds shared with `--against` show which agent is better."""
     videos: int = 0
-    """Then run so many episodes again from their seeds and film them; failures come first."""
+    """How many episodes to run once more, from their seeds, and film; failures come first."""
 
     def checked(self) -> dict[str, Any]:
         """Return the fields of an `Evaluation` that these options are.

@@ -38,12 +38,12 @@ class Evaluation:
     name: str | None = None
     """Name of the agent in the ledger; None for its own."""
     tags: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Words for the ledger, by which figures can be ordered, such as `{"mix": "half real"}`."""
+    """Names and values for the ledger, by which figures can be drawn, such as `{"mix": "half real"}`."""
     episodes: int = 50
     seed: int = 0
     """Same seed, same episodes; different seeds share none. No collection and no training has any of them."""
     repeat: int = 0
-    """How often each episode is run again, though it is there."""
+    """How many more times to run each episode, even if the ledger has it."""
     against: str | None = None
     """Another agent in the same ledger, by name or hash, for `until`."""
     until: float | None = None

@@ -32,7 +32,8 @@ class CheckCommand:
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
     depth: Depth = "frames"
-    """How far to look: that every `bytes` is what was written; the `rows` too; that all `frames` decode, too."""
+    """How deep to check: `bytes` compares all hashes, `rows` also reads the numbers, and `frames` also decodes the
+    images."""
     strict: bool = False
     """Exit with code 1 for warnings, too."""
     repair: bool = False

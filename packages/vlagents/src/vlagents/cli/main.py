@@ -1,4 +1,4 @@
-"""Serve a policy or a simulator, say how to make its environment, ask how a server is, and measure a call."""
+"""Serve a policy or a simulator, print the recipe of its environment, show a server's state, and time its answers."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     recipe.add_argument("family", help=f"its name: {', '.join(catalogue.recipes())}")
     recipe.set_defaults(act=_recipe)
 
-    ping = verbs.add_parser("ping", help="say how a server is, and what its policy needs and gives")
+    ping = verbs.add_parser("ping", help="show a server's state, and what its policy needs and gives")
     _add_address(ping, token)
     ping.set_defaults(act=_ping)
 
