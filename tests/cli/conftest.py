@@ -14,11 +14,22 @@ from rcs.cli.main import main
 def call(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
     """Return a function that runs a command, and returns its exit code and all that it printed."""
 
-    def run(*arguments: str) -> tuple[int, str]:
+    def run(*arguments: object) -> tuple[int, str]:
         with pytest.raises(SystemExit) as stopped:
-            main(list(arguments))
+            main([str(argument) for argument in arguments])
         captured = capsys.readouterr()
         return int(stopped.value.code or 0), captured.out + captured.err
+
+    return run
+
+
+@pytest.fixture
+def call_unwrapped(call: Callable[..., tuple[int, str]]) -> Callable[..., tuple[int, str]]:
+    """Return a function like `call`, with all that was printed in one line, wherever it was wrapped."""
+
+    def run(*arguments: object) -> tuple[int, str]:
+        code, told = call(*arguments)
+        return code, " ".join(told.split())
 
     return run
 

@@ -25,7 +25,6 @@ from vlagents import Metadata, PartSpec, Server
 from vlagents.policies.scripted import ScriptedPolicy
 
 import rcs
-from rcs.cli.main import main
 from rcs.rollout import Evaluation
 from rcs.rollout.blind import order_of
 
@@ -63,13 +62,6 @@ def addresses() -> Iterator[list[str]]:
         server.close()
 
 
-def call(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
-    with pytest.raises(SystemExit) as ended:
-        main(list(words))
-    captured = capsys.readouterr()
-    return int(ended.value.code or 0), captured.out + captured.err
-
-
 def test_the_order_is_balanced_and_drawn_from_the_seed() -> None:
     orders = [list(order_of(Evaluation(setup=rcs.Setup(), episodes=20, seed=seed))) for seed in (0, 0, 1)]
     assert orders[0] == orders[1] != orders[2]
@@ -80,7 +72,7 @@ def test_the_order_is_balanced_and_drawn_from_the_seed() -> None:
 
 
 def test_no_name_is_anywhere_before_it_is_revealed_and_no_answer_is_lost(
-    capsys: pytest.CaptureFixture[str],
+    call: Any,
     caplog: pytest.LogCaptureFixture,
     addresses: list[str],
     tmp_path: Path,
@@ -102,11 +94,11 @@ def test_no_name_is_anywhere_before_it_is_revealed_and_no_answer_is_lost(
         "run", "--policy", addresses[0], "--blind", addresses[1], "--hardware", "fake", "--judge", "--task", "Free",
         "--frequency", "30", "--cameras", "none", "--episodes", "4", "--max-episode-steps", "5", "--out", str(out),
     )  # fmt: skip
-    code, told = call(capsys, *words)
+    code, told = call(*words)
     assert code == 130
     assert len(Ledger(out).rows) == 3
     before = {row.agent for row in Ledger(out).rows.values()}
-    code, more = call(capsys, *words)
+    code, more = call(*words)
     assert code == 0, more
     ledger = Ledger(out)
     assert [row.agent for row in ledger.rows.values()].count("X") == 4
@@ -128,7 +120,7 @@ def test_no_name_is_anywhere_before_it_is_revealed_and_no_answer_is_lost(
     assert {one.a, one.b} == {"X", "Y"}
     assert one.differences == {}
 
-    code, told = call(capsys, "unblind", str(out))
+    code, told = call("unblind", str(out))
     assert code == 0, told
     assert all(name in told for name in NAMES)
     page = (out / "report.html").read_text()
@@ -138,11 +130,11 @@ def test_no_name_is_anywhere_before_it_is_revealed_and_no_answer_is_lost(
         assert ledger.condition(ledger.find(name)).weights == f"{name}hash"
         assert ledger.condition(ledger.find(name)).data == f"{name}data"
         assert len(ledger.of(ledger.find(name))) == 4
-    assert call(capsys, "unblind", str(out))[0] == 0, "twice is harmless"
+    assert call("unblind", str(out))[0] == 0, "twice is harmless"
 
 
 def test_recordings_have_the_keys_of_the_letters_and_no_name(
-    capsys: pytest.CaptureFixture[str], addresses: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Any, addresses: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, data, answers = tmp_path / "out", tmp_path / "data", iter(["y", "n", "?", "y"])
     monkeypatch.setattr("builtins.input", lambda _="": next(answers))
@@ -150,7 +142,7 @@ def test_recordings_have_the_keys_of_the_letters_and_no_name(
         "run", "--policy", addresses[0], "--blind", addresses[1], "--hardware", "fake", "--judge", "--task", "Free",
         "--frequency", "30", "--cameras", "none", "--episodes", "2", "--max-episode-steps", "5",
     )  # fmt: skip
-    code, told = call(capsys, *words, "--out", str(out), "--record", str(data))
+    code, told = call(*words, "--out", str(out), "--record", str(data))
     assert code == 0, told
     recorded = {episode.id.partition("-")[2]: episode.success for episode in Dataset.open(data).episodes}
     assert recorded == {row.key: row.success for row in Ledger(out).rows.values()}
@@ -160,7 +152,7 @@ def test_recordings_have_the_keys_of_the_letters_and_no_name(
 
 
 def test_a_policy_that_fails_is_not_named_in_the_log(
-    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, addresses: list[str], tmp_path: Path
+    call: Any, caplog: pytest.LogCaptureFixture, addresses: list[str], tmp_path: Path
 ) -> None:
     def fail(seen: Any, instruction: str) -> Any:
         raise ValueError("the weights of gammaray are broken")
@@ -168,7 +160,7 @@ def test_a_policy_that_fails_is_not_named_in_the_log(
     with Server(ScriptedPolicy(fail, replace(METADATA, name="gammaray")), port=0) as server:
         out, address = tmp_path / "out", str(server.address)
         words = ("--hardware", "fake", "--task", "Free", "--cameras", "none", "--max-episode-steps", "5")
-        code, told = call(capsys, "run", "--policy", addresses[0], "--blind", address, *words, "--episodes", "1",
+        code, told = call("run", "--policy", addresses[0], "--blind", address, *words, "--episodes", "1",
                           "--frequency", "30", "--out", str(out))  # fmt: skip
     assert code == 0, told
     mine = [record.getMessage() for record in caplog.records if record.name.startswith("rcs.")]
@@ -179,16 +171,14 @@ def test_a_policy_that_fails_is_not_named_in_the_log(
         assert all(secret not in path.read_text() for path in out.rglob("*") if path.is_file())
 
 
-def test_what_would_tell_the_names_is_refused(
-    capsys: pytest.CaptureFixture[str], addresses: list[str], tmp_path: Path
-) -> None:
+def test_what_would_tell_the_names_is_refused(call: Any, addresses: list[str], tmp_path: Path) -> None:
     words = ("run", "--policy", addresses[0], "--hardware", "fake", "--task", "Free", "--cameras", "none")
     for more, sentence in [
         (("--blind", addresses[1], "--videos", "2"), "videos cannot be combined with blind"),
         (("--blind", addresses[1], "--name", "mine"), "name cannot be combined with blind"),
         (("--blind", addresses[0]), "nothing to compare"),
     ]:
-        code, told = call(capsys, *words, *more, "--out", str(tmp_path / "out"))
+        code, told = call(*words, *more, "--out", str(tmp_path / "out"))
         assert code == 1
         assert sentence in told
     assert not (tmp_path / "out" / "ledger.jsonl").exists()

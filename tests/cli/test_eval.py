@@ -15,7 +15,6 @@ import pytest
 from rcs_data.ledger import Ledger
 
 from rcs.agents import Agent
-from rcs.cli.main import main
 
 RCS = [sys.executable, "-c", "from rcs.cli.main import main; main()"]
 
@@ -33,17 +32,10 @@ class Stay(Agent):
         return self._action
 
 
-def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
-    with pytest.raises(SystemExit) as stopped:
-        main(["eval", *arguments])
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out + captured.err
-
-
 @pytest.mark.gl
-def test_it_tells_the_rate_and_leaves_figures_and_videos(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_it_tells_the_rate_and_leaves_figures_and_videos(call: Any, tmp_path: Path) -> None:
     options = ("--episodes", "3", "--videos", "1", "--workers", "1", "--out", str(tmp_path / "e"))
-    code, told = call(capsys, "PickCuboid", *options)
+    code, told = call("eval", "PickCuboid", *options)
     assert code == 0
     assert "3 of 3 = 100.0 % (95 % Wilson interval" in told
     ledger = Ledger(tmp_path / "e")
@@ -54,13 +46,11 @@ def test_it_tells_the_rate_and_leaves_figures_and_videos(capsys: pytest.CaptureF
     assert rows[0].key in (tmp_path / "e" / "report.html").read_text()
 
 
-def test_options_of_the_task_and_layers_are_part_of_the_setup(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_options_of_the_task_and_layers_are_part_of_the_setup(call: Any, tmp_path: Path) -> None:
     options = ("--task-options", "lift_height=0.05", "hold_time=0.5", "--reward", "sparse")
     layers = ("--layers", "rcs.envs.layers:BinaryGripper", "--frequency", "20", "--relative", "absolute")
     code, told = call(
-        capsys, "PickCuboid", *options, *layers, "--episodes", "1", "--workers", "1", "--out", str(tmp_path)
+        "eval", "PickCuboid", *options, *layers, "--episodes", "1", "--workers", "1", "--out", str(tmp_path)
     )
     assert code == 0, told
     ((_, condition),) = Ledger(tmp_path).conditions.items()
@@ -72,7 +62,7 @@ def test_options_of_the_task_and_layers_are_part_of_the_setup(
 
 
 def test_nothing_runs_twice_and_nothing_is_overwritten(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     short = ("PickCuboid", "--workers", "1", "--max-episode-steps", "3")
@@ -88,7 +78,7 @@ def test_nothing_runs_twice_and_nothing_is_overwritten(
         (("--episodes", "3", "--repeat", "1"), 12, "none was run"),
         (("--episodes", "1", "--agent", "rcs.agents:PickExpert", "--name", "mine"), 13, None),
     ]:
-        code, told = call(capsys, *short, *more)
+        code, told = call("eval", *short, *more)
         assert code == 0, told
         assert (found or "success") in told
         assert ("were in the ledger" in told) == (found is not None)
@@ -97,23 +87,23 @@ def test_nothing_runs_twice_and_nothing_is_overwritten(
         kept = path.read_bytes()
 
 
-def test_the_bar_counts_the_episodes_that_the_command_runs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_the_bar_counts_the_episodes_that_the_command_runs(call: Any, tmp_path: Path) -> None:
     short = ("PickCuboid", "--workers", "1", "--max-episode-steps", "3", "--out", str(tmp_path))
     for more, count in [(("--episodes", "2"), "2/2"), (("--episodes", "2", "--repeat", "3"), "6/6")]:
-        code, told = call(capsys, *short, *more)
+        code, told = call("eval", *short, *more)
         assert code == 0, told
         assert count in told
 
 
-def test_two_agents_are_compared_and_decided_between(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_two_agents_are_compared_and_decided_between(call: Any, tmp_path: Path) -> None:
     short = ("--workers", "1", "--out", str(tmp_path), "--max-episode-steps", "200")
-    code, told = call(capsys, "PickCuboid", *short, "--episodes", "8")
+    code, told = call("eval", "PickCuboid", *short, "--episodes", "8")
     assert code == 0, told
     agent = ("--agent", f"{__name__}:Stay", "--name", "idle", "--until", "0.05", "--against", "PickExpert")
-    code, told = call(capsys, "PickCuboid", *short, *agent, "--episodes", "6")
+    code, told = call("eval", "PickCuboid", *short, *agent, "--episodes", "6")
     assert code == 0, told
     assert "Not shown that idle and PickExpert differ on 6 shared seeds" in told.replace("\n", " ")
-    code, told = call(capsys, "PickCuboid", *short, *agent, "--episodes", "50")
+    code, told = call("eval", "PickCuboid", *short, *agent, "--episodes", "50")
     assert code == 0, told
     assert "is better than idle on 7 shared seeds" in told.replace("\n", " ")
     assert len(Ledger(tmp_path).of(Ledger(tmp_path).find("idle"))) == 7
@@ -136,9 +126,9 @@ def test_two_agents_are_compared_and_decided_between(capsys: pytest.CaptureFixtu
     ],
 )
 def test_bad_arguments_get_a_clear_error_and_leave_nothing(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], words: list[str]
+    call: Any, tmp_path: Path, arguments: list[str], words: list[str]
 ) -> None:
-    code, told = call(capsys, "--workers", "1", *arguments, "--out", str(tmp_path / "e"))
+    code, told = call("eval", "--workers", "1", *arguments, "--out", str(tmp_path / "e"))
     assert code == 1
     assert "Traceback" not in told
     for word in words:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rcs_data import Dataset
@@ -14,17 +15,10 @@ from rcs.cli.replay import successes_in_words
 from rcs.rollout.reexecute import ReexecutionResult
 
 
-def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
-    with pytest.raises(SystemExit) as stopped:
-        main(["data", "replay", *arguments])
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out + captured.err
-
-
 @pytest.mark.gl
-def test_render_makes_a_dataset_with_frames(capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path) -> None:
+def test_render_makes_a_dataset_with_frames(call: Any, dataset: Path, tmp_path: Path) -> None:
     options = ["--kind", "render", "--out", str(tmp_path / "new"), "--cameras", "wrist", "side", "--image-size", "32"]
-    code, told = call(capsys, str(dataset), *options, "--workers", "1")
+    code, told = call("data", "replay", str(dataset), *options, "--workers", "1")
     assert code == 0
     assert "2 episodes rendered" in told
     keys = [feature.key for feature in Dataset.open(tmp_path / "new").info.features]
@@ -32,8 +26,10 @@ def test_render_makes_a_dataset_with_frames(capsys: pytest.CaptureFixture[str], 
     assert "observation/frames/side/rgb" in keys
 
 
-def test_actions_prints_deviations(capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path) -> None:
-    code, told = call(capsys, str(dataset), "--kind", "actions", "--workers", "1", "--out", str(tmp_path / "new"))
+def test_actions_prints_deviations(call: Any, dataset: Path, tmp_path: Path) -> None:
+    code, told = call(
+        "data", "replay", str(dataset), "--kind", "actions", "--workers", "1", "--out", str(tmp_path / "new")
+    )
     assert code == 0
     assert "2 of 2 succeed in simulation" in told
     assert "joints [mrad]" in told
@@ -42,10 +38,10 @@ def test_actions_prints_deviations(capsys: pytest.CaptureFixture[str], dataset: 
     assert len(Dataset.open(tmp_path / "new")) == 2
 
 
-def test_states_counts_what_succeeds_in_simulation(
-    capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path
-) -> None:
-    code, told = call(capsys, str(dataset), "--kind", "states", "--out", str(tmp_path / "new"), "--workers", "1")
+def test_states_counts_what_succeeds_in_simulation(call: Any, dataset: Path, tmp_path: Path) -> None:
+    code, told = call(
+        "data", "replay", str(dataset), "--kind", "states", "--out", str(tmp_path / "new"), "--workers", "1"
+    )
     assert code == 0
     assert "2 of 2 succeed in simulation" in told
     assert len(Dataset.open(tmp_path / "new")) == 2
@@ -78,7 +74,7 @@ def test_json_is_json_and_nothing_else(
     ],
 )
 def test_what_makes_no_sense_is_refused_and_leaves_nothing(
-    capsys: pytest.CaptureFixture[str],
+    call: Any,
     dataset: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -86,7 +82,7 @@ def test_what_makes_no_sense_is_refused_and_leaves_nothing(
     words: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, told = call(capsys, str(dataset), *arguments)
+    code, told = call("data", "replay", str(dataset), *arguments)
     assert code == 1
     assert words in told.replace("\n", " ")
     assert "Traceback" not in told

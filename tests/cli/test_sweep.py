@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import re
 import shutil
 import subprocess
 import sys
@@ -13,6 +12,7 @@ import time
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rcs_data.ledger import Ledger
@@ -51,13 +51,6 @@ SERVER = """
     print("serving", checkpoint, flush=True)
     child.wait()
 """
-
-
-def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
-    with pytest.raises(SystemExit) as stopped:
-        main(["sweep", *arguments])
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), re.sub(r"\s+", " ", captured.out + captured.err)
 
 
 def is_alive(process: int) -> bool:
@@ -105,11 +98,11 @@ def test_checkpoints_of_a_run_that_was_copied_without_links_are_found(trained: P
 
 @pytest.mark.slow
 def test_served_checkpoints_are_evaluated_the_best_again_and_no_server_is_left(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, trained: Path, command: str
+    call_unwrapped: Any, tmp_path: Path, trained: Path, command: str
 ) -> None:
     out = tmp_path / "out"
     words = (str(trained), "--serve", command, "--episodes", "2", "--max-episode-steps", "20", "--out", str(out))
-    code, told = call(capsys, *words)
+    code, told = call_unwrapped("sweep", *words)
     assert code == 0, told
     assert "Best of 2, by the episodes above: 2000 steps" in told
     rows = list(Ledger(out).rows.values())
@@ -127,7 +120,7 @@ def test_served_checkpoints_are_evaluated_the_best_again_and_no_server_is_left(
     assert len(processes) == 6
     assert not any(map(is_alive, processes))
     before = (out / "ledger.jsonl").read_bytes()
-    code, told = call(capsys, *words)
+    code, told = call_unwrapped("sweep", *words)
     assert code == 0, told
     assert (out / "ledger.jsonl").read_bytes() == before
 
@@ -149,7 +142,7 @@ STAY = """
 
 
 def test_real_episodes_follow_the_simulated_ones_of_each_checkpoint(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, trained: Path, monkeypatch: pytest.MonkeyPatch
+    call_unwrapped: Any, tmp_path: Path, trained: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program, out = tmp_path / "stay.py", tmp_path / "out"
     program.write_text(textwrap.dedent(STAY))
@@ -161,7 +154,7 @@ def test_real_episodes_follow_the_simulated_ones_of_each_checkpoint(
         "--hardware", "fake", "--real-episodes", "2", "--out", str(out),
     )  # fmt: skip
     for _ in range(2):
-        code, told = call(capsys, *words)
+        code, told = call_unwrapped("sweep", *words)
         assert code == 0, told
     rows = list(Ledger(out).rows.values())
     found = [(row.agent, row.is_real, row.success) for row in rows]
@@ -203,7 +196,7 @@ def test_episodes_that_another_process_runs_are_waited_for_and_run_here_if_it_di
 
 
 def test_a_sweep_that_looks_for_the_better_agent_waits_for_other_processes_too(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, trained: Path, monkeypatch: pytest.MonkeyPatch
+    call_unwrapped: Any, tmp_path: Path, trained: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, setup = tmp_path / "out", rcs.Setup(task="PickCuboid", max_episode_steps=4)
     list(evaluate(Evaluation(setup=setup, agent="PickExpert", name="other", episodes=2, out=out)))
@@ -221,7 +214,7 @@ def test_a_sweep_that_looks_for_the_better_agent_waits_for_other_processes_too(
     with Server(importlib.import_module("16_policy").policy(), port=0) as server:
         monkeypatch.setattr("rcs.cli.sweep.serving", lambda *_: nullcontext(str(server.address)))
         words = ("--episodes", "2", "--max-episode-steps", "4", "--until", "0.05", "--against", "other")
-        code, told = call(capsys, str(trained), "--serve", "{checkpoint}", *words, "--out", str(out))
+        code, told = call_unwrapped("sweep", str(trained), "--serve", "{checkpoint}", *words, "--out", str(out))
     assert code == 0, told
     names = ("other", "act@1000", "act@2000", "act@2000 again")
     assert [row.agent for row in Ledger(out).rows.values()] == [name for name in names for _ in range(2)]
@@ -245,7 +238,7 @@ def test_once_the_better_agent_is_known_nothing_is_waited_for(tmp_path: Path) ->
 
 
 def test_what_is_wrong_with_a_run_or_a_command_is_said(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, trained: Path, command: str
+    call_unwrapped: Any, tmp_path: Path, trained: Path, command: str
 ) -> None:
     out = ("--out", str(tmp_path / "out"))
     for words, sentence in [
@@ -256,7 +249,7 @@ def test_what_is_wrong_with_a_run_or_a_command_is_said(
         ((str(trained), "--serve", "/nothing/here {checkpoint} {port}"), "Could not start '/nothing/here'"),
         ((str(trained), "--serve", f"{sys.executable} -c 1/0 {{checkpoint}} {{port}}"), "ZeroDivisionError"),
     ]:
-        code, told = call(capsys, *words, *out)
+        code, told = call_unwrapped("sweep", *words, *out)
         assert code == 1
         assert sentence in told
         assert "Traceback" not in told or "ZeroDivisionError" in told
@@ -274,7 +267,7 @@ def test_a_server_that_never_answers_is_ended(tmp_path: Path) -> None:
 
 
 @pytest.mark.extras
-def test_checkpoints_of_a_training_are_swept_and_go_on(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_checkpoints_of_a_training_are_swept_and_go_on(call_unwrapped: Any, tmp_path: Path) -> None:
     run, out = tmp_path / "pick", tmp_path / "out"
     small = (
         "--steps", "240", "--copies", "2", "--episodes", "2", "--evaluate-every", "120", "--max-episode-steps", "6",
@@ -283,7 +276,7 @@ def test_checkpoints_of_a_training_are_swept_and_go_on(capsys: pytest.CaptureFix
     with pytest.raises(SystemExit) as stopped:
         main(["train", "PickCuboid", "--out", str(run), *small])
     assert not stopped.value.code
-    code, told = call(capsys, str(run), "--episodes", "3", "--follow", "--out", str(out))
+    code, told = call_unwrapped("sweep", str(run), "--episodes", "3", "--follow", "--out", str(out))
     assert code == 0, told
     names = list(dict.fromkeys(row.agent for row in Ledger(out).rows.values()))
     assert len(names) == len(checkpoints_in(run)) + 1

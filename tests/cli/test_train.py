@@ -29,13 +29,6 @@ SMALL = (
 )  # fmt: skip
 
 
-def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
-    with pytest.raises(SystemExit) as stopped:
-        main(list(arguments))
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), re.sub(r"\s+", " ", captured.out + captured.err)
-
-
 def newest(run: Path) -> int:
     """Return the steps of the newest checkpoint; -1 for none."""
     return max((int(path.name) for path in run.glob("checkpoints/0*")), default=-1)
@@ -60,18 +53,16 @@ def test_it_leaves_checkpoints_figures_and_a_page(run: Path) -> None:
     assert "http" not in re.sub(r"data:[^\"]*", "", page)  # nothing is loaded from elsewhere
 
 
-def test_the_same_command_and_resume_find_it_done(capsys: pytest.CaptureFixture[str], run: Path) -> None:
+def test_the_same_command_and_resume_find_it_done(call_unwrapped: Any, run: Path) -> None:
     for words in (["train", "PickCuboid", "--out", str(run), *SMALL, "--no-video"], ["train", "--resume", str(run)]):
-        code, told = call(capsys, *words)
+        code, told = call_unwrapped(*words)
         assert code == 0
         assert f"{newest(run)} steps in" in told
         assert f"Report: {run / 'report.html'}" in told
 
 
-def test_a_checkpoint_is_evaluated_in_its_own_environment(
-    capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path
-) -> None:
-    code, told = call(capsys, "eval", str(run), "--episodes", "3", "--out", str(tmp_path / "a"))
+def test_a_checkpoint_is_evaluated_in_its_own_environment(call_unwrapped: Any, run: Path, tmp_path: Path) -> None:
+    code, told = call_unwrapped("eval", str(run), "--episodes", "3", "--out", str(tmp_path / "a"))
     assert code == 0, told
     best = find_checkpoint(run)
     weights = best.files["policy.pt"]
@@ -85,17 +76,17 @@ def test_a_checkpoint_is_evaluated_in_its_own_environment(
     assert condition.setup["observe"] == ["privileged", "contacts"]
     assert [row.steps for row in ledger.rows.values()] == [6, 6, 6]
     out = tmp_path / "b"
-    code, told = call(capsys, "eval", "PickCuboid", "--agent", str(run), "--episodes", "3", "--out", str(out))
+    code, told = call_unwrapped("eval", "PickCuboid", "--agent", str(run), "--episodes", "3", "--out", str(out))
     assert code == 0, told
     assert Ledger(out).rows.keys() == ledger.rows.keys()
     assert [row.reward for row in Ledger(out).rows.values()] == [row.reward for row in ledger.rows.values()]
 
 
 def test_another_agent_is_evaluated_in_the_environment_of_a_checkpoint(
-    capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path
+    call_unwrapped: Any, run: Path, tmp_path: Path
 ) -> None:
     options = ("--agent", "PickExpert", "--episodes", "1", "--workers", "1", "--out", str(tmp_path))
-    code, told = call(capsys, "eval", str(run), *options)
+    code, told = call_unwrapped("eval", str(run), *options)
     assert code == 0, told
     assert [(row.agent, row.steps) for row in Ledger(tmp_path).rows.values()] == [("PickExpert", 6)]
 
@@ -112,10 +103,10 @@ def test_a_person_who_takes_over_from_a_checkpoint_is_not_bound_to_the_length_of
     ("cameras", "seen"), [((), ["side", "wrist"]), (("--cameras", "wrist"), ["wrist"]), (("--cameras", "none"), [])]
 )
 def test_what_it_does_is_recorded_with_cameras_that_it_does_not_need(
-    capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path, cameras: tuple[str, ...], seen: list[str]
+    call_unwrapped: Any, run: Path, tmp_path: Path, cameras: tuple[str, ...], seen: list[str]
 ) -> None:
     options = ("--episodes", "1", "--workers", "1", "--image-size", "64", "--no-report", *cameras)
-    code, told = call(capsys, "collect", str(run), *options, "--out", str(tmp_path / "d"))
+    code, told = call_unwrapped("collect", str(run), *options, "--out", str(tmp_path / "d"))
     assert code == 0, told
     from rcs_data import Dataset
 
@@ -125,14 +116,14 @@ def test_what_it_does_is_recorded_with_cameras_that_it_does_not_need(
 
 
 @pytest.mark.gl
-def test_a_policy_that_sees_and_its_videos(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_policy_that_sees_and_its_videos(call_unwrapped: Any, tmp_path: Path) -> None:
     run, short = tmp_path / "run", ("--steps", "40", "--evaluate-every", "40", "--image-size", "40")
-    code, told = call(capsys, "train", "PickCuboid", "--out", str(run), *SMALL, *short, "--cameras", "wrist", "side")
+    code, told = call_unwrapped("train", "PickCuboid", "--out", str(run), *SMALL, *short, "--cameras", "wrist", "side")
     assert code == 0, told
     assert sorted(path.stem for path in (run / "videos").iterdir()) == ["000000000", f"{newest(run):09d}"]
     assert "data:video/mp4;base64," in (run / "report.html").read_text("utf-8")
     options = ("--episodes", "1", "--videos", "1", "--workers", "1", "--out", str(tmp_path / "e"))
-    code, told = call(capsys, "eval", str(run), *options)
+    code, told = call_unwrapped("eval", str(run), *options)
     assert code == 0, told
     ledger = Ledger(tmp_path / "e")
     (row,) = ledger.rows.values()
@@ -153,11 +144,9 @@ def test_a_policy_that_sees_and_its_videos(capsys: pytest.CaptureFixture[str], t
         (["eval", "PickCuboid", "--agent", "nothing/here"], ["There is no checkpoint in nothing/here"]),
     ],
 )
-def test_what_is_wrong_is_said(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], words: list[str]
-) -> None:
+def test_what_is_wrong_is_said(call_unwrapped: Any, tmp_path: Path, arguments: list[str], words: list[str]) -> None:
     out = ["--out", str(tmp_path / "x")] if "--resume" not in arguments and len(arguments) > 1 else []
-    code, told = call(capsys, *arguments, *out)
+    code, told = call_unwrapped(*arguments, *out)
     assert code == 1
     assert "Traceback" not in told
     for word in words:
@@ -179,32 +168,28 @@ def test_what_is_wrong_is_said(
     ],
 )
 def test_what_cannot_be_trained_is_refused_before_anything_else_is_said(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], told: str
+    call_unwrapped: Any, tmp_path: Path, arguments: list[str], told: str
 ) -> None:
-    code, said = call(capsys, "train", *arguments, "--out", str(tmp_path / "run"))
+    code, said = call_unwrapped("train", *arguments, "--out", str(tmp_path / "run"))
     assert code == 1
     assert said.startswith("error: ")
     assert told in said
     assert not (tmp_path / "run").exists()
 
 
-def test_options_that_contradict_a_checkpoint_are_refused(
-    capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path
-) -> None:
+def test_options_that_contradict_a_checkpoint_are_refused(call_unwrapped: Any, run: Path, tmp_path: Path) -> None:
     out = ("--episodes", "1", "--out", str(tmp_path))
-    code, told = call(capsys, "eval", str(run), "--robot", "ur5e", *out)
+    code, told = call_unwrapped("eval", str(run), "--robot", "ur5e", *out)
     assert (code, "robot is 'ur5e', not 'fr3'" in told) == (1, True), told
-    code, told = call(capsys, "eval", "Push", "--agent", str(run), *out)
+    code, told = call_unwrapped("eval", "Push", "--agent", str(run), *out)
     assert (code, "was trained for PickCuboid, not for Push" in told) == (1, True), told
-    code, told = call(capsys, "train", "PickCuboid", "--out", str(run), *SMALL, "--seed", "1")
+    code, told = call_unwrapped("train", "PickCuboid", "--out", str(run), *SMALL, "--seed", "1")
     assert (code, "another training began: seed is 1, not 0" in told) == (1, True), told
 
 
-def test_without_torch_the_extra_is_named(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_torch_the_extra_is_named(call_unwrapped: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    code, told = call(capsys, "train", "PickCuboid", "--out", str(tmp_path / "x"))
+    code, told = call_unwrapped("train", "PickCuboid", "--out", str(tmp_path / "x"))
     assert (code, "pip install 'robot-control-stack[rl]'" in told) == (1, True), told
 
 
