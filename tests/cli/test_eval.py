@@ -10,26 +10,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from rcs_data.ledger import Ledger
 
-from rcs.agents import Agent
+from tests.rollout.staying import Stay
 
 RCS = [sys.executable, "-c", "from rcs.cli.main import main; main()"]
-
-
-class Stay(Agent):
-    """Keeps every joint where it is."""
-
-    def __init__(self, env: Any) -> None:
-        self._action = {name: np.zeros(space.shape, space.dtype) for name, space in env.action_space.items()}
-
-    def reset(self, observation: Any, info: Any) -> None:
-        """Nothing to forget."""
-
-    def act(self, observation: Any, info: Any) -> Any:
-        return self._action
 
 
 @pytest.mark.gl
@@ -99,7 +85,7 @@ def test_two_agents_are_compared_and_decided_between(call: Any, tmp_path: Path) 
     short = ("--workers", "1", "--out", str(tmp_path), "--max-episode-steps", "200")
     code, told = call("eval", "PickCuboid", *short, "--episodes", "8")
     assert code == 0, told
-    agent = ("--agent", f"{__name__}:Stay", "--name", "idle", "--until", "0.05", "--against", "PickExpert")
+    agent = ("--agent", f"{Stay.__module__}:Stay", "--name", "idle", "--until", "0.05", "--against", "PickExpert")
     code, told = call("eval", "PickCuboid", *short, *agent, "--episodes", "6")
     assert code == 0, told
     assert "Not shown that idle and PickExpert differ on 6 shared seeds" in told.replace("\n", " ")

@@ -31,6 +31,7 @@ from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.gpus import own_gpu
 from rcs.rollout.logbook import Logbook, condition_of
 from rcs.rollout.serving import serving
+from tests.rollout.staying import claimed
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SERVER = """
@@ -167,24 +168,12 @@ def test_real_episodes_follow_the_simulated_ones_of_each_checkpoint(
     assert [row.seed for row in rows[3:5]] == [row.seed for row in rows[:2]]
 
 
-CLAIM = """
-    import sys
-    from rcs_data.ledger import Ledger
-    ledger = Ledger(sys.argv[1])
-    print(ledger.claim(sys.argv[2]), flush=True)
-    sys.stdin.read()
-"""
-
-
 def test_episodes_that_another_process_runs_are_waited_for_and_run_here_if_it_dies(tmp_path: Path) -> None:
     setup = rcs.Setup(task="PickCuboid", max_episode_steps=4)
     evaluation, summary = Evaluation(setup=setup, agent="PickExpert", episodes=2, out=tmp_path), Summary()
     key = key_of(condition_of(evaluation, identity_of("PickExpert", "PickCuboid")).hash, evaluation.seed_of(1))
     Ledger.open(tmp_path).close()
-    words = [sys.executable, "-c", textwrap.dedent(CLAIM), str(tmp_path), key]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
-        assert other.stdout is not None
-        assert other.stdout.readline() == "True\n"
+    with claimed(tmp_path, key) as other:
         list(evaluate(evaluation, summary))
         assert [attempt.number for attempt in summary.attempts] == [0]
         threading.Timer(0.5, other.kill).start()

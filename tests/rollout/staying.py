@@ -1,7 +1,12 @@
-"""An agent that stays, and its evaluations."""
+"""An agent that stays, its evaluations, and a process that claims an episode of one."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import rcs
@@ -33,3 +38,22 @@ def run(**options: Any) -> Summary:
     for _ in evaluate(Evaluation(**{"setup": SETUP, "agent": Stay, "episodes": 3, **options}), summary):
         pass
     return summary
+
+
+CLAIM = """
+import sys
+from rcs_data.ledger import Ledger
+ledger = Ledger(sys.argv[1])
+print(ledger.claim(sys.argv[2]), flush=True)
+sys.stdin.read()
+"""
+
+
+@contextmanager
+def claimed(folder: Path, key: str) -> Generator[subprocess.Popen[str]]:
+    """Have another process claim an episode of a ledger until the end of the block, and yield that process."""
+    words = [sys.executable, "-c", CLAIM, str(folder), key]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "True\n"
+        yield other

@@ -103,8 +103,8 @@ def test_the_ledger_says_what_was_evaluated_and_how_every_episode_went(tmp_path:
     ledger = Ledger(tmp_path / "new" / "folder")
     (condition,) = ledger.conditions.values()
     assert rcs.Setup.from_json({**condition.setup}) == SETUP
-    assert condition.agent == f"{__name__}:Stay"
-    assert condition.code.keys() == {"rcs", __name__}
+    assert condition.agent == f"{Stay.__module__}:Stay"
+    assert condition.code.keys() == {"rcs", Stay.__module__}
     assert condition.tags == {"mix": "half"}
     assert condition.versions["robot-control-stack"] == rcs.__version__
     assert [(row.failure, row.judge) for row in ledger.rows.values()] == [("timeout", "task")] * 2

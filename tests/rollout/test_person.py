@@ -9,24 +9,9 @@ import pytest
 from rcs_data.ledger import Ledger
 
 import rcs
-from rcs.agents import Agent
 from rcs.rollout import Answer, Evaluation, Outlines, PersonJudge, Summary, evaluate
 from rcs.rollout.person import answer_in
-
-SETUP = rcs.Setup(task="PickCuboid", max_episode_steps=2)
-
-
-class Stay(Agent):
-    """Keeps every joint where it is."""
-
-    def __init__(self, env: Any) -> None:
-        self._space = env.action_space
-
-    def reset(self, observation: Any, info: Any) -> None:
-        """Nothing to forget."""
-
-    def act(self, observation: Any, info: Any) -> Any:
-        return {name: 0 * value + (name == "gripper") for name, value in self._space.sample().items()}
+from tests.rollout.staying import SETUP, Stay
 
 
 @pytest.mark.parametrize(
