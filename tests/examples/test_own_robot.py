@@ -122,6 +122,20 @@ def test_its_agent_is_evaluated_beside_the_expert(installed: dict[str, str], tmp
     assert ledger.find("Wander")
 
 
+def test_a_change_of_its_lab_or_its_model_is_another_condition(installed: dict[str, str], tmp_path: Path) -> None:
+    source, out = shutil.copytree(PACKAGE / "src", tmp_path / "src"), tmp_path / "out"
+    mine = {**installed, "PYTHONPATH": os.pathsep.join((str(source), installed["PYTHONPATH"]))}
+    options = ("--robot", "my_robot", "--episodes", "1", "--max-episode-steps", "2", "--workers", "1")
+    changes = (("lab.py", ""), ("lab.py", ""), ("lab.py", "# a change"), ("my_robot.xml", "<!-- a change -->"))
+    rows: list[int] = []
+    for name, change in changes:
+        path = source / "my_robot" / name
+        path.write_text(path.read_text() + change)
+        run(mine, *RCS, "eval", "PushToLine", *options, "--out", str(out))
+        rows.append(len(Ledger(out).rows))
+    assert rows == [1, 1, 2, 3]
+
+
 def test_gymnasium_makes_its_task_by_id_and_its_driver_makes_it_real(installed: dict[str, str]) -> None:
     told = run(installed, "-c", ON_THE_ROBOT)
     assert "block" in told

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import io
+import shutil
 import subprocess
 import sys
 import time
@@ -151,6 +152,24 @@ def test_the_agent_the_seed_and_code_of_ones_own_are_in_the_key(
     assert run(agent="my_agent:Stay", out=out, episodes=1).found == 0
     assert run(agent="my_agent:Stay", out=out, episodes=1, seed=1).found == 0
     assert len(Ledger(out).rows) == 3
+
+
+def test_the_model_of_a_robot_of_ones_own_is_in_the_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    example = Path(__file__).parents[2] / "examples" / "06_own_robot" / "src" / "my_robot"
+    package = shutil.copytree(example, tmp_path / "copied_robot", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    evaluation = Evaluation(setup=rcs.Setup(task="Free", robot="copied_robot.description:MY_ROBOT"), agent=Stay)
+
+    def hash_of() -> str:
+        return condition_of(evaluation, identity_of(Stay, "Free")).hash
+
+    hashes = [hash_of(), hash_of()]
+    for name, change in (("my_robot.xml", "<!-- a change -->"), ("description.py", "# a change")):
+        path = package / name
+        path.write_text(f"{path.read_text()}\n{change}\n")
+        hashes.append(hash_of())
+    assert hashes[0] == hashes[1]
+    assert len(set(hashes)) == 3
 
 
 def test_another_calibration_in_the_same_file_is_another_condition(tmp_path: Path) -> None:

@@ -27,6 +27,19 @@ def names(kind: Kind) -> list[str]:
     return sorted(_entries(kind))
 
 
+def module_of(kind: Kind, given: str) -> str | None:
+    """Return the name of the module of what a name stands for; None if no installed plugin of the kind has the name.
+
+    Args:
+        kind: Kind of plugin.
+        given: Name of an entry point, or `module:Class`; nothing is imported.
+    """
+    if ":" in given:
+        return given.partition(":")[0]
+    entry = _entries(kind).get(given)
+    return None if entry is None else entry.module
+
+
 def find(kind: Kind, given: Any) -> Any:
     """Import and return the object that a name stands for.
 

@@ -6,7 +6,7 @@ import datetime
 import hashlib
 import importlib.metadata
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +19,10 @@ from rcs.agents.identity import Identity, code_of
 from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import versions
+from rcs.envs.parts import Parts
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, RcsError
+from rcs.robots.description import Description
 from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import Answer, EpisodeResult
 from rcs.rollout.evaluation import Evaluation, Summary
@@ -39,11 +41,11 @@ def condition_of(evaluation: Evaluation, identity: Identity, env: Env | None = N
         UnknownName: The setup names something that is not there.
         InvalidSetup: Its parts do not fit each other.
     """
-    setup, own, software = evaluation.setup, list[str](), versions()
+    setup, own, models, software = evaluation.setup, list[str](), dict[str, str](), versions()
     if evaluation.simulator is None:
         setup = with_camera_names(setup)
-        resolve(setup)  # before anything is written
-        own = list(_modules(setup))
+        parts = resolve(setup)  # before anything is written
+        own, models = list(_modules(setup, parts)), _models(parts)
     if identity.policy or evaluation.simulator is not None:
         software["rcs-vlagents"] = importlib.metadata.version("rcs-vlagents")
     platform = {} if env is None else env.platform
@@ -59,7 +61,7 @@ def condition_of(evaluation: Evaluation, identity: Identity, env: Env | None = N
         setup=setup.to_json(),
         platform={name: driver for name, driver in platform.items() if driver != "simulation"},
         tags=evaluation.tags,
-        code={**code_of([*identity.modules, *own]), **_files(setup), **_site(env)},
+        code={**code_of([*identity.modules, *own]), **models, **_files(setup), **_site(env)},
         versions=software,
     )
 
@@ -75,11 +77,27 @@ def _site(env: Env | None) -> dict[str, str]:
     return {} if env is None or env.site is None else {"site": env.site}
 
 
-def _modules(setup: Setup) -> Iterator[str]:
+def _described(parts: Parts) -> list[Description]:
+    """Return the arms, end effectors, cameras and tactile sensors of a setup."""
+    mounted = [one for robot in parts.robots for one in (robot.arm, robot.end_effector) if one is not None]
+    return [*mounted, *(one.camera for one in parts.cameras), *(one.sensor for one in parts.tactile)]
+
+
+def _models(parts: Parts) -> dict[str, str]:
+    """Return the hashes of the models' files, except those that count with the sources of this package."""
+    package = Path(__file__).parents[1]
+    return {
+        f"model.{one.name}": hashlib.sha256(one.mjcf.read_bytes()).hexdigest()
+        for one in _described(parts)
+        if one.mjcf.is_file() and not one.mjcf.is_relative_to(package)
+    }
+
+
+def _modules(setup: Setup, parts: Parts) -> Iterator[str]:
     """Yield the modules that a setup has parts of."""
-    robots = [setup.robot] if isinstance(setup.robot, str) else list(setup.robot.values())
-    ends = setup.end_effector if isinstance(setup.end_effector, Mapping) else {"": setup.end_effector or ""}
-    yield from (name.partition(":")[0] for name in [*robots, *ends.values()] if ":" in name)
+    for name in [setup.robot] if isinstance(setup.robot, str) else setup.robot.values():
+        yield from filter(None, (lookup.module_of("lab", name), lookup.module_of("arm", name)))
+    yield from (one.module for one in _described(parts) if one.module)
     yield lookup.find("task", setup.task).__module__
     yield from (lookup.find("layer", name).__module__ for name in setup.layers)
     yield from (lookup.find("gate", name).__module__ for name in setup.gates)
