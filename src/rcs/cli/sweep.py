@@ -80,20 +80,21 @@ class SweepCommand(SetupOptions):
         if self.page is not None and self.hardware is None:
             raise InvalidSetup("page asks how episodes on devices went; name these by hardware.")
         rates: dict[int, tuple[float, Path]] = {}
-        try:
-            while True:
-                for steps, path in (one for one in found if one[0] not in rates):
-                    summary = self._evaluate(steps, path, options, console)
-                    if summary.is_interrupted:
-                        return INTERRUPTED
-                    rates[steps] = (summary.successes / summary.judged if summary.judged else -1.0, path)
-                if not self.follow or (found and self._is_last(*found[-1])):
-                    break
+        while True:
+            for steps, path in (one for one in found if one[0] not in rates):
+                summary = self._evaluate(steps, path, options, console)
+                if summary.is_interrupted:
+                    return INTERRUPTED
+                rates[steps] = (summary.successes / summary.judged if summary.judged else -1.0, path)
+            if not self.follow or (found and self._is_last(*found[-1])):
+                break
+            try:
                 time.sleep(_PAUSE)
-                found = checkpoints_in(self.training)
-        except KeyboardInterrupt:
-            if not rates:
-                raise
+            except KeyboardInterrupt:  # no checkpoint is waited for any more; elsewhere it ends the sweep at once
+                if not rates:
+                    raise
+                break
+            found = checkpoints_in(self.training)
         steps = max(rates, key=lambda one: (rates[one][0], one))
         console.print(f"Best of {len(rates)}, by the episodes above: {steps} steps. Now on other seeds:")
         again = {**options, "tags": {**(self.ledger.tags or {}), "sweep": AGAIN}}
