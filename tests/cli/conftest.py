@@ -42,3 +42,14 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         main(["collect", "PickCuboid", "--episodes", "2", "--cameras", "none", "--workers", "1", "--out", str(out)])
     assert stopped.value.code == 0
     return out
+
+
+@pytest.fixture
+def trained(tmp_path: Path) -> Path:
+    """A run with the folders of LeRobot: two whole checkpoints, and one that is being written."""
+    folder = tmp_path / "act" / "run" / "checkpoints"
+    for steps in (1000, 2000, 3000):
+        (folder / f"{steps:06d}" / "pretrained_model").mkdir(parents=True)
+        (folder / f"{steps:06d}" / "pretrained_model" / "weights").write_text(f"{steps:x}")
+    (folder / "last").symlink_to("002000")
+    return tmp_path / "act"

@@ -12,7 +12,6 @@ import time
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -23,7 +22,7 @@ from vlagents import Server
 import rcs
 from rcs.agents.identity import identity_of
 from rcs.cli.main import main
-from rcs.cli.sweep import SweepCommand, checkpoints_in, name_of, wait_for_others
+from rcs.cli.sweep import checkpoints_in, name_of, wait_for_others
 from rcs.errors import RcsError
 from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import EpisodeResult
@@ -70,17 +69,6 @@ def command(tmp_path: Path) -> str:
     return f"{sys.executable} {program} {{checkpoint}} {{port}}"
 
 
-@pytest.fixture
-def trained(tmp_path: Path) -> Path:
-    """A run with the folders of LeRobot: two whole checkpoints, and one that is being written."""
-    folder = tmp_path / "act" / "run" / "checkpoints"
-    for steps in (1000, 2000, 3000):
-        (folder / f"{steps:06d}" / "pretrained_model").mkdir(parents=True)
-        (folder / f"{steps:06d}" / "pretrained_model" / "weights").write_text(f"{steps:x}")
-    (folder / "last").symlink_to("002000")
-    return tmp_path / "act"
-
-
 def test_whole_checkpoints_are_found_and_named_by_their_run(trained: Path) -> None:
     found = checkpoints_in(trained)
     assert [steps for steps, _ in found] == [1000, 2000]
@@ -96,57 +84,6 @@ def test_checkpoints_of_a_run_that_was_copied_without_links_are_found(trained: P
     (copy / "run" / "checkpoints").rename(tmp_path / "disk" / "moved")
     (copy / "run" / "checkpoints").symlink_to(tmp_path / "disk" / "moved")
     assert {name_of(path) for _, path in checkpoints_in(copy)} == {"copy"}
-
-
-@pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int | None]]:
-    """Steps and seeds of the evaluations that a sweep asked for, none of which is made."""
-    asked: list[tuple[int, int | None]] = []
-
-    def note(_: Any, steps: int, path: Path, options: Any, console: Any, seed: int | None = None) -> Summary:
-        asked.append((steps, seed))
-        return Summary()
-
-    monkeypatch.setattr(SweepCommand, "_evaluate", note)
-    return asked
-
-
-@pytest.mark.parametrize("follow", [(), ("--follow",)])
-def test_an_end_at_once_evaluates_nothing_more(
-    call_unwrapped: Any, tmp_path: Path, trained: Path, monkeypatch: pytest.MonkeyPatch, follow: tuple[str, ...]
-) -> None:
-    asked: list[int] = []
-
-    def end(_: Any, steps: int, path: Path, options: Any, console: Any, seed: int | None = None) -> Summary:
-        asked.append(steps)
-        if len(asked) == 2:
-            raise KeyboardInterrupt  # as by SIGTERM, or by Ctrl-C for the second time
-        return Summary()
-
-    monkeypatch.setattr(SweepCommand, "_evaluate", end)
-    words = (str(trained), "--serve", "x {checkpoint} {port}", *follow, "--out", str(tmp_path / "out"))
-    code, told = call_unwrapped("sweep", *words)
-    assert code == 130, told
-    assert asked == [1000, 2000]
-    assert "Best of" not in told
-
-
-def test_ctrl_c_while_checkpoints_are_waited_for_takes_the_best_of_those_that_are_there(
-    call_unwrapped: Any,
-    asked: list[tuple[int, int | None]],
-    tmp_path: Path,
-    trained: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def interrupt(_: float) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("rcs.cli.sweep.time", SimpleNamespace(sleep=interrupt))
-    words = (str(trained), "--serve", "x {checkpoint} {port}", "--follow", "--out", str(tmp_path / "out"))
-    code, told = call_unwrapped("sweep", *words)
-    assert code == 0, told
-    assert asked == [(1000, None), (2000, None), (2000, 1 << 31)]
-    assert "Best of 2, by the episodes above: 2000 steps" in told
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ CHECKPOINTS, DESCRIPTION, LAST, WEIGHTS = "checkpoints", "checkpoint.json", "las
 """Names in the folders of runs: ours have a description; those of LeRobot a link to the last whole one, and weights."""
 AGAIN = "again"
 """Tag of the evaluation of the best checkpoint on seeds that did not choose it."""
+_KEPT = "`rcs train` keeps those that it evaluates: train with --episodes above 0"
 _PAUSE = 5.0
 _OTHER_SEEDS = 1 << 31
 """Added to the seed when the best is evaluated again."""
@@ -82,6 +83,9 @@ class SweepCommand(SetupOptions):
         rates: dict[int, tuple[float, Path]] = {}
         while True:
             for steps, path in (one for one in found if one[0] not in rates):
+                if not path.is_dir():
+                    console.print(f"{steps} steps: the training has removed this checkpoint; it is left out.")
+                    continue
                 summary = self._evaluate(steps, path, options, console)
                 if summary.is_interrupted:
                     return INTERRUPTED
@@ -95,6 +99,8 @@ class SweepCommand(SetupOptions):
                     raise
                 break
             found = checkpoints_in(self.training)
+        if not rates:
+            raise InvalidSetup(f"The training has removed all checkpoints in {self.training}; {_KEPT}.")
         steps = max(rates, key=lambda one: (rates[one][0], one))
         console.print(f"Best of {len(rates)}, by the episodes above: {steps} steps. Now on other seeds:")
         again = {**options, "tags": {**(self.ledger.tags or {}), "sweep": AGAIN}}
@@ -153,6 +159,8 @@ class SweepCommand(SetupOptions):
 
     def _own_setup(self, path: Path) -> Any:
         """Return the environment of a checkpoint of ours, with the options that were given."""
+        if not path.is_dir():
+            raise InvalidSetup(f"The training has removed {path}; {_KEPT}.")
         if not (path / DESCRIPTION).exists():
             raise InvalidSetup(f"{path} is a checkpoint of LeRobot; say by --serve how it is served.")
         from rcs.rl.checkpoint import open_checkpoint
