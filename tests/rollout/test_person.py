@@ -10,7 +10,7 @@ from rcs_data.ledger import Ledger
 
 import rcs
 from rcs.rollout import Answer, Evaluation, Outlines, PersonJudge, Summary, evaluate
-from rcs.rollout.person import answer_in
+from rcs.rollout.person import answer_in, ask_at_terminal
 from tests.rollout.staying import SETUP, Stay
 
 
@@ -28,6 +28,18 @@ from tests.rollout.staying import SETUP, Stay
 )  # fmt: skip
 def test_a_line_is_a_verdict_and_then_stages_tags_and_words(line: str, answer: Answer | None) -> None:
     assert answer_in(line) == answer
+
+
+def test_a_line_that_is_no_text_is_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, lines = list[str](), iter(["n pinc\udce9", "n pince"])
+
+    def answer(question: str) -> str:
+        asked.append(question)
+        return next(lines)
+
+    monkeypatch.setattr("builtins.input", answer)
+    assert ask_at_terminal("Done?", {}, None) == "n pince"
+    assert asked == ["Done?: ", "That was no text. Done?: "]
 
 
 class Script:
@@ -80,6 +92,16 @@ def test_objects_are_put_in_place_before_an_episode_begins_and_while_the_one_bef
             assert outlines.words(seed) in question
     assert "[u]ndo" not in script.asked[1][0]
     assert "[u]ndo" in script.asked[2][0]
+
+
+def test_only_what_was_answered_can_be_taken_back() -> None:
+    taken: list[tuple[str, Answer]] = []
+    judge = PersonJudge(Script("y", "u", "n", "y"))
+    judge({}, {})
+    judge.answered(lambda answer: taken.append(("judged", answer)))
+    judge.answered(lambda answer: taken.append(("ended by a fault", answer)))  # nobody was asked about this one
+    assert judge({}, {}) == Answer(success=True)
+    assert taken == [("judged", Answer(success=False))]
 
 
 def test_where_no_answer_can_be_taken_back_none_is_offered() -> None:

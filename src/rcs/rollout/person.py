@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -21,12 +22,18 @@ are to be put in place meanwhile; None if there is none."""
 
 
 def ask_at_terminal(question: str, observation: Observation, seed: int | None) -> str:
-    """Ask the person at the terminal.
+    """Ask the person at the terminal, again after bytes that are no text there: they could not be stored.
 
     Raises:
         Refused: The input has ended.
     """
-    return read_line(f"{question}: ")
+    notice = ""
+    while True:
+        with contextlib.suppress(UnicodeError):
+            line = read_line(f"{notice}{question}: ")
+            line.encode()
+            return line
+        notice = "That was no text. "
 
 
 def answer_in(line: str) -> Answer | None:
@@ -62,6 +69,8 @@ class PersonJudge:
         self._ask, self._outlines, self._can_undo = ask, outlines, can_undo
         self._correct: Callable[[Answer], None] | None = None
         self._has_begun, self._coming, self._seen = False, None, {}
+        self._is_answered = False
+        """Whether the present episode has an answer: nobody is asked about one that a fault ended."""
 
     def announce(self, env: Env | None, seed: int, coming: int | None) -> None:
         """Get ready for an episode; before the first one, wait until its objects are in their places.
@@ -96,17 +105,20 @@ class PersonJudge:
                 self._take_back()
                 notice = "Now the present one. "
             elif (answer := answer_in(line)) is not None:
+                self._is_answered = True
                 return answer
             else:
                 notice = f"{line.strip()!r} is no answer. " if line.strip() else ""
 
     def answered(self, correct: Callable[[Answer], None]) -> None:
-        """Note that an answer is in the ledger.
+        """Note that an episode is in the ledger, with its answer if somebody was asked.
 
         Args:
-            correct: Replaces it there by another one.
+            correct: Replaces the answer there by another one.
         """
-        self._correct = correct if self._can_undo else None
+        if self._is_answered:
+            self._correct = correct if self._can_undo else None
+        self._is_answered = False
 
     def end(self) -> None:
         """Offer to take the last answer back, once there is no further episode."""
