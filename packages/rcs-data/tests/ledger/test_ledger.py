@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
-from rcs_data.ledger import Condition, Ledger
+from rcs_data.ledger import Condition, Ledger, write_ledger_page
 
 if TYPE_CHECKING:
     from conftest import MakeCondition, MakeRow  # pyright: ignore[reportAttributeAccessIssue]
@@ -128,6 +128,23 @@ def test_four_writers_lose_nothing(tmp_path: Path, make_row: MakeRow, make_condi
     }
     assert ledger.damage == []
     assert len(list((tmp_path / "l" / "conditions").iterdir())) == 2
+
+
+def test_several_processes_may_write_the_page_at_a_time(filled: Ledger) -> None:
+    context = multiprocessing.get_context("fork")
+
+    def write() -> None:
+        for _ in range(20):
+            write_ledger_page(Ledger(filled.folder))
+
+    writers = [context.Process(target=write) for _ in range(4)]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join(60)
+    assert [writer.exitcode for writer in writers] == [0] * 4
+    assert (filled.folder / "report.html").read_text().endswith("</html>\n")
+    assert not list(filled.folder.glob(".report*")), "no draft is left"
 
 
 def test_processes_share_episodes_and_run_none_twice(tmp_path: Path, make_row: MakeRow) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -34,7 +35,9 @@ def write_ledger_page(ledger: Ledger) -> Path:
     """
     path = ledger.folder / REPORT
     with disk_errors("write the report", path):
-        write_file(path, _page(ledger).encode())
+        draft = path.with_name(f".{path.name}.{os.getpid()}")  # several processes may write it at a time
+        write_file(draft, _page(ledger).encode())
+        draft.replace(path)
     return path
 
 
