@@ -229,6 +229,19 @@ def test_a_folder_with_something_else_is_refused_and_left_alone(tmp_path: Path) 
     assert not (tmp_path / "nowhere").exists()
 
 
+def test_a_ledger_that_another_process_makes_meanwhile_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = Path.iterdir
+
+    def iterdir(folder: Path) -> Any:
+        (tmp_path / "ledger.jsonl").touch()
+        return listed(folder)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    assert Ledger.open(tmp_path).rows == {}
+
+
 def test_agents_are_found_by_name_and_by_hash(filled: Ledger, make_row: MakeRow) -> None:
     first = filled.find("alpha")
     assert filled.find(first[:6]) == first

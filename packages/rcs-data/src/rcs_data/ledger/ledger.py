@@ -73,7 +73,8 @@ class Ledger(Closing):
         with disk_errors("make the ledger", root):
             root.mkdir(parents=True, exist_ok=True)
             if not (root / LEDGER_FILE).exists():
-                if found := sorted(path.name for path in root.iterdir() if path.name != CONDITIONS_FOLDER):
+                found = sorted(path.name for path in root.iterdir() if path.name != CONDITIONS_FOLDER)
+                if found and not (root / LEDGER_FILE).exists():  # another process may have made it meanwhile
                     raise DatasetError(
                         f"{root} is not empty and has no {LEDGER_FILE}, but {found[0]}. Choose another folder for the "
                         "ledger."
