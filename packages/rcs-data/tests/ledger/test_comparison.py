@@ -117,7 +117,9 @@ def test_a_simulation_in_the_order_of_reality_violates_no_rank() -> None:
     assert mean_maximum_rank_violation(real, [0.1, 0.2, 0.3]) == 0
     assert mean_maximum_rank_violation(real, [0.3, 0.2, 0.9]) == pytest.approx((0.3 + 0.3 + 0) / 3)
     assert pearson(real, [0.4, 1.0, 1.8]) == pytest.approx(1.0)
-    assert pearson(real, [0.5, 0.5, 0.5]) is None
+    for same in (0.5, 0.1):  # three times 0.1, over three, is not 0.1
+        assert pearson(real, [same] * 3) is None
+        assert pearson([same] * 3, [same] * 3) is None
 
 
 def test_rates_of_different_policies_are_refused() -> None:

@@ -157,6 +157,8 @@ def holm(p_values: Sequence[float]) -> list[float]:
 def pearson(real: Sequence[float], simulated: Sequence[float]) -> float | None:
     """Return Pearson's correlation of the rates of the same policies in two domains; None if either does not vary."""
     _check_domains(real, simulated)
+    if min(len(set(real)), len(set(simulated))) == 1:  # a mean is rounded, so that the spread is not quite 0
+        return None
     mean_real, mean_simulated = sum(real) / len(real), sum(simulated) / len(simulated)
     away = [(one - mean_real, other - mean_simulated) for one, other in zip(real, simulated, strict=True)]
     spread = math.sqrt(sum(one**2 for one, _ in away) * sum(other**2 for _, other in away))
