@@ -255,6 +255,19 @@ def test_agents_are_found_by_name_and_by_hash(filled: Ledger, make_row: MakeRow)
         filled.find("alpha")
 
 
+def test_two_comparisons_of_one_agent_that_are_revealed_are_told_apart(tmp_path: Path, make_row: MakeRow) -> None:
+    ledger = Ledger.open(tmp_path / "l")
+    for nonce in ("one", "two"):
+        blind = replace(CONDITION, agent="X", weights=None, tags={**CONDITION.tags, "blind": nonce})
+        ledger.register(blind, hidden=(CONDITION, "vla://host:1"))
+        ledger.add(make_row(blind, 1))
+    ledger.unblind()
+    revealed = [(one.agent, one.tags["blind"]) for one in ledger.conditions.values()]
+    assert revealed == [("alpha", "one"), ("alpha", "two")]
+    with pytest.raises(InvalidSetup, match=r"2 conditions, which differ in tags\.blind\. Give"):
+        ledger.find("alpha")
+
+
 def test_a_description_that_was_changed_is_told(filled: Ledger) -> None:
     path = filled.folder / "conditions" / f"{filled.find('beta')}.json"
     path.write_bytes(path.read_bytes().replace(b"fr3", b"fr4"))

@@ -21,6 +21,7 @@ import json
 import os
 import zlib
 from collections.abc import Generator, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -311,7 +312,8 @@ class Ledger(Closing):
             if condition.hash != hash_:
                 raise CorruptEpisode(f"{path} describes another condition, {condition.hash}.")
             if (true := values.get("revealed")) is not None:
-                condition, values = Condition.from_json(true["condition"]), true
+                # With the tag of the comparison: another one of the same agent is another condition.
+                condition, values = replace(Condition.from_json(true["condition"]), tags=condition.tags), true
             self._known[hash_] = condition, str(values.get("place", ""))
         return self._known[hash_]
 
