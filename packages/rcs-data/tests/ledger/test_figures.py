@@ -76,6 +76,15 @@ def test_whatever_differs_is_a_key(varied: Ledger) -> None:
         groups_of(varied, "robott")
 
 
+def test_true_and_false_are_no_numbers(tmp_path: Path, make_row: MakeRow, make_condition: MakeCondition) -> None:
+    ledger = Ledger.open(tmp_path / "native")
+    for native in (True, False):
+        condition = make_condition(setup={"native": native})
+        ledger.register(condition)
+        ledger.add(make_row(condition, 1))
+    assert [one.value for one in groups_of(ledger, "setup.native")] == ["True", "False"]
+
+
 @pytest.mark.parametrize("by", ["policy", "agent", "robot", "domain", "steps", "mix", "setup.frequency"])
 def test_two_checkpoints_are_never_in_one_rate(varied: Ledger, by: str) -> None:
     found = groups_of(varied, by)

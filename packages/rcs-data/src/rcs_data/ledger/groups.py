@@ -118,10 +118,10 @@ def _series(values: Mapping[str, Any], names: Sequence[str], tags: Sequence[str]
 
 
 def _values(condition: Condition) -> dict[str, Any]:
-    """Return the values of a condition by key; lists are texts, and nothing is empty."""
+    """Return the values of a condition by key; lists, true and false are texts, and nothing is empty."""
     found = leaves(condition.to_json()) | dict(condition.tags) | {key: get(condition) for key, get in KEYS.items()}
     return {
-        name: value if isinstance(value, int | float | str | None) else str(value)
+        name: value if isinstance(value, int | float | str | None) and not isinstance(value, bool) else str(value)
         for name, value in found.items()
         if value != {}
     }
