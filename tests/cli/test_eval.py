@@ -95,6 +95,17 @@ def test_two_agents_are_compared_and_decided_between(call: Any, tmp_path: Path) 
     assert len(Ledger(tmp_path).of(Ledger(tmp_path).find("idle"))) == 7
 
 
+def test_an_agent_is_compared_with_itself_under_another_condition(call_unwrapped: Any, tmp_path: Path) -> None:
+    short = ("eval", "PickCuboid", "--workers", "1", "--episodes", "2", "--max-episode-steps", "3", "--out", tmp_path)
+    code, told = call_unwrapped(*short)
+    assert code == 0, told
+    for _ in range(2):
+        code, told = call_unwrapped(*short, "--frequency", "10", "--until", "0.05", "--against", "PickExpert")
+        assert code == 0, told
+        assert "differ on 2 shared seeds" in told
+    assert len(Ledger(tmp_path).rows) == 4
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -32,6 +32,15 @@ def test_only_episodes_before_the_first_that_runs_decide(tmp_path: Path) -> None
         assert book.pairs.only_b == 7
 
 
+def test_the_agent_to_decide_against_may_have_the_same_name(tmp_path: Path) -> None:
+    one = Evaluation(setup=SETUP, agent=Stay, name="stay", episodes=2, out=tmp_path)
+    list(evaluate(one))
+    other = replace(one, setup=replace(SETUP, frequency=10.0), against="stay", until=0.05)
+    assert len(list(evaluate(other))) == 2
+    assert list(evaluate(other, summary := Summary())) == []
+    assert (summary.found, summary.pairs) == (2, Pairs(neither=2))
+
+
 def test_episodes_that_other_processes_have_written_decide_too(tmp_path: Path) -> None:
     identity = identity_of(Stay, "PickCuboid")
     better = Evaluation(setup=SETUP, agent=Stay, episodes=8, out=tmp_path, name="better")

@@ -126,7 +126,8 @@ def print_results(
         if videos and not summary.is_interrupted:
             _film(evaluation, ledger, summary.condition, videos, record, console)
         if evaluation.against is not None:
-            (one,) = compare(ledger, [summary.condition, evaluation.against])
+            other = ledger.find(evaluation.against, besides=summary.condition)
+            (one,) = compare(ledger, [summary.condition, other])
             one = replace(one, pairs=summary.pairs or one.pairs, until=evaluation.until)
             console.print(one.words, soft_wrap=True)
         for sentence in ledger.damage:

@@ -143,7 +143,7 @@ class Logbook(Closing):
         if evaluation.against is not None:
             if self._ledger is None:
                 raise InvalidSetup(f"There is no ledger in {evaluation.out}, so nothing to decide against.")
-            against = self._ledger.find(evaluation.against)
+            against = self._ledger.find(evaluation.against, besides=self.hash)
             if against == self.hash:
                 raise InvalidSetup(
                     f"{evaluation.against!r} is the agent that is evaluated; name another to decide against."

@@ -253,6 +253,8 @@ def test_agents_are_found_by_name_and_by_hash(filled: Ledger, make_row: MakeRow)
     filled.add(make_row(other, 1))
     with pytest.raises(InvalidSetup, match=r"2 conditions, which differ in setup\.frequency"):
         filled.find("alpha")
+    assert filled.find("alpha", besides=first) == other.hash
+    assert filled.find("beta", besides=filled.find("beta")) == filled.find("beta")
 
 
 def test_two_comparisons_of_one_agent_that_are_revealed_are_told_apart(tmp_path: Path, make_row: MakeRow) -> None:

@@ -213,8 +213,12 @@ class Ledger(Closing):
         """The conditions of all rows, by hash, in the order of their first rows; raises as `condition` does."""
         return {hash_: self.condition(hash_) for hash_ in dict.fromkeys(row.condition for row in self.rows.values())}
 
-    def find(self, name: str) -> str:
+    def find(self, name: str, besides: str = "") -> str:
         """Return the hash of the condition that has rows and is meant by an agent's name or the start of the hash.
+
+        Args:
+            name: The name, or the start of the hash.
+            besides: Hash of a condition that is meant only if no other one is.
 
         Raises:
             InvalidSetup: None is meant, or several; the message has them all, and how they differ.
@@ -222,6 +226,7 @@ class Ledger(Closing):
         known = self.conditions
         found = [one for one in known if one == name] or [one for one in known if known[one].agent == name]
         found = found or [one for one in known if len(name) >= 4 and one.startswith(name)]
+        found = [one for one in found if one != besides] or found
         if len(found) == 1:
             return found[0]
         if not found:
