@@ -10,6 +10,7 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -169,6 +170,26 @@ def test_a_policy_that_fails_is_not_named_in_the_log(
         assert all(secret not in message for message in mine)
         assert secret not in told
         assert all(secret not in path.read_text() for path in out.rglob("*") if path.is_file())
+
+
+def test_a_policy_that_is_gone_is_not_named(
+    call_unwrapped: Any, addresses: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcs.policy.agent.WAIT", 0.3)
+
+    def act(seen: Any, instruction: str) -> Any:
+        threading.Thread(target=server.close).start()
+        return np.hstack([np.tile(seen.state["joints"], (8, 1)), np.ones((8, 1))])
+
+    with Server(ScriptedPolicy(act, replace(METADATA, name="gammaray")), port=0) as server:
+        address = str(server.address)
+        words = ("--hardware", "fake", "--task", "Free", "--cameras", "none", "--max-episode-steps", "5")
+        code, told = call_unwrapped("run", "--policy", addresses[0], "--blind", address, *words, "--episodes", "2",
+                                    "--frequency", "30", "--out", tmp_path / "out")  # fmt: skip
+    assert code == 1, told
+    assert "A policy cannot be reached" in told
+    for secret in ("gammaray", address, address.rpartition(":")[2]):
+        assert secret not in told
 
 
 def test_what_would_tell_the_names_is_refused(call: Any, addresses: list[str], tmp_path: Path) -> None:

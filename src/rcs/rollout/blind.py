@@ -15,7 +15,7 @@ from rcs_data.ledger import Condition, Ledger
 from rcs.agents.identity import Identity, identity_of
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import Judge
 from rcs.rollout.evaluate import Evaluator, correct
@@ -28,6 +28,10 @@ _NONCE = "blind"
 """Tag that the two conditions of a comparison share, drawn for each comparison."""
 _TELLING = logging.getLogger("rcs.policy.execution")
 """Logs the words of policies and of connections to them."""
+_GONE = (
+    "A policy cannot be reached, or does not return, so this episode was not begun; its words would name it. See that "
+    "both policies answer, and run the same again to go on."
+)
 
 
 class _Unnamed(logging.Filter):
@@ -101,7 +105,12 @@ def evaluate_blind(
                     later = (one for one, other in turns[place + 1 :] if books[other].row_of(one) is None)
                     coming, seed_of = next(later, None), evaluations[0].seed_of
                     judge.announce(env, seed_of(number), None if coming is None else seed_of(coming))
-                attempt = evaluators[which].attempt(number)
+                try:
+                    attempt = evaluators[which].attempt(number)
+                except RcsError as err:
+                    if type(err) is not RcsError:  # such as that of a device, which says nothing about who acts
+                        raise
+                    raise RcsError(_GONE) from None
                 books[which].add(attempt)
                 summary.attempts.append(attempt)
                 if isinstance(judge, PersonJudge):
