@@ -31,7 +31,7 @@ from rcs.rollout.evaluate import Evaluator, evaluate, film
 from rcs.rollout.evaluation import UNSEEN, Evaluation, Summary
 from rcs.rollout.logbook import condition_of, differs
 from rcs.setups import labs
-from tests.rollout.staying import SETUP, Stay, run
+from tests.rollout.staying import SETUP, Stay, claimed, run
 
 
 def test_the_expert_succeeds_and_who_stays_does_not() -> None:
@@ -334,6 +334,17 @@ def test_failures_are_filmed_first_and_end_as_they_did(tmp_path: Path, workers: 
     assert filmed.count(False) == verdicts.count(False)
     assert sorted(path.suffix for path in (tmp_path / "films").iterdir()) == [".mp4"] * len(made)
     assert list(film(evaluation, most)) == [], "films that are there are not made again"
+
+
+@pytest.mark.gl
+def test_a_film_that_another_process_makes_is_left_to_it(tmp_path: Path) -> None:
+    evaluation = Evaluation(setup=SETUP, agent=Stay, episodes=2, out=tmp_path)
+    list(evaluate(evaluation))
+    first, second = Ledger(tmp_path).rows.values()
+    with claimed(tmp_path, f"film of {first.name}"):
+        assert [row.name for row, _ in film(evaluation, 2)] == [second.name]
+    assert [row.name for row, _ in film(evaluation, 2)] == [first.name]
+    assert all(Ledger(tmp_path).film(row).is_file() for row in (first, second))
 
 
 class Dice(Stay):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import rcs
 from rcs.errors import InvalidSetup
-from rcs.rollout.video import Film, Video
+from rcs.rollout.video import Film, Video, new_film
 
 
 def pictures(path: Path) -> list[NDArray[np.uint8]]:
@@ -41,6 +41,18 @@ def test_pictures_come_back_in_their_order_colour_and_rate(tmp_path: Path) -> No
 def test_without_a_picture_there_is_no_file(tmp_path: Path) -> None:
     Video(tmp_path / "v.mp4", rate=30.0).close()
     assert not list(tmp_path.iterdir())
+
+
+def test_a_new_film_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "f.mp4"
+    (tmp_path / ".f.mp4").write_bytes(b"left by a kill")
+    with new_film(path):
+        pass
+    assert not list(tmp_path.iterdir()), "there was no picture"
+    with new_film(path) as draft, closing(Video(draft, rate=30.0)) as video:
+        video.add(np.zeros((48, 64, 3), np.uint8))
+        assert not path.exists()
+    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.gl

@@ -10,8 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rcs_data.files.durable import sync_folder
-from rcs_data.ledger import Row
+from rcs_data.ledger import Ledger, Row
 from rcs_data.ledger.condition import key_of, named
 from rcs_data.ledger.ledger import FILMS_FOLDER
 
@@ -28,7 +27,7 @@ from rcs.rollout.logbook import Logbook, condition_of, differs
 from rcs.rollout.person import PersonJudge
 from rcs.rollout.pool import WorkerPool
 from rcs.rollout.ray_pool import RayPool, write_files
-from rcs.rollout.video import Film
+from rcs.rollout.video import Film, new_film
 
 
 class Evaluator:
@@ -76,14 +75,8 @@ class Evaluator:
         """Run one episode."""
         if self._film is None or self._films is None:
             return self._attempt(number)
-        path = self._films / f"{self._name_of(number)}.mp4"
-        draft = path.with_name(f".{path.name}")
-        with self._film.into(draft):
-            attempt = self._attempt(number)
-        if draft.exists():  # not where the simulator has failed before its first picture
-            draft.replace(path)
-            sync_folder(self._films)
-        return attempt
+        with new_film(self._films / f"{self._name_of(number)}.mp4") as draft, self._film.into(draft):
+            return self._attempt(number)
 
     def _attempt(self, number: int) -> Attempt:
         began = time.perf_counter()
@@ -216,16 +209,23 @@ def film(evaluation: Evaluation, most: int) -> Iterator[tuple[Row, EpisodeResult
             return
         folder = book.ledger.folder / FILMS_FOLDER
         folder.mkdir(exist_ok=True)
+        # Processes that share an evaluation share its films, too.
+        mine = (number for number in wanted if _is_to_be_filmed(book.ledger, rows[number]))
         if evaluation.workers == 1 and evaluation.ray is None:
-            making = _here(evaluation, iter(wanted), book.hash, films=folder)
+            making = _here(evaluation, mine, book.hash, films=folder)
         else:
-            making = _elsewhere(evaluation, iter(wanted), book.hash, films=folder)
+            making = _elsewhere(evaluation, mine, book.hash, films=folder)
         with closing(making):
             for attempt in making:
                 row = rows[attempt.number]
                 if differs(row, attempt.result):
                     book.ledger.film(row).unlink(missing_ok=True)
                 yield row, attempt.result
+
+
+def _is_to_be_filmed(ledger: Ledger, row: Row) -> bool:
+    """Return whether an episode has no film, and nobody else makes one; it is then this process's own."""
+    return ledger.claim(f"film of {row.name}") and not ledger.film(row).is_file()
 
 
 def correct(book: Logbook | None, summary: Summary, place: int, answer: Answer) -> None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 from rcs_data import Dataset
-from rcs_data.files.durable import disk_errors, sync_folder
+from rcs_data.files.durable import disk_errors
 from rcs_data.ledger import Ledger, Row
 
 from rcs.errors import InvalidSetup
 from rcs.rollout.collection import episode_id
-from rcs.rollout.video import Video
+from rcs.rollout.video import Video, new_film
 
 
 def cut_films(recording: Path, ledger: Ledger, condition: str, most: int) -> list[Row]:
@@ -42,16 +43,12 @@ def cut_films(recording: Path, ledger: Ledger, condition: str, most: int) -> lis
         found = [one for one in dataset if f"{one.id[len(episode_id(0)) + 1 :]}-".startswith(f"{row.name}-")]
         if path.is_file() or not found:
             continue
-        draft = path.with_name(f".{path.name}")
-        with disk_errors("write a film", path):
-            path.parent.mkdir(exist_ok=True)
-            video = Video(draft, rate=dataset.info.frequency)
-            try:
-                for image in found[-1].frames(cameras[0]):
-                    video.add(image)
-            finally:
-                video.close()
-            draft.replace(path)
-            sync_folder(path.parent)
+        with (
+            disk_errors("write a film", path),
+            new_film(path) as draft,
+            closing(Video(draft, rate=dataset.info.frequency)) as video,
+        ):
+            for image in found[-1].frames(cameras[0]):
+                video.add(image)
         made.append(row)
     return made

@@ -11,6 +11,7 @@ from typing import Any
 import av
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.files.durable import sync_folder
 
 from rcs.envs.env import Env
 from rcs.envs.observer import Observer, Transition
@@ -52,6 +53,21 @@ class Video:
             self._container.mux(self._stream.encode(None))
             self._container.close()
             self._container = None
+
+
+@contextmanager
+def new_film(path: Path) -> Generator[Path]:
+    """Yield the path of a draft, which becomes the film at the end of the block; without a picture there is none.
+
+    Args:
+        path: Path of the film.
+    """
+    draft = path.with_name(f".{path.name}")
+    draft.unlink(missing_ok=True)  # left by a kill
+    yield draft
+    if draft.exists():
+        draft.replace(path)
+        sync_folder(path.parent)
 
 
 class Film(Observer):
