@@ -5,12 +5,14 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetWriter
 from rcs_data.ledger import Ledger
-from vlagents import Metadata, Observation, PartSpec, Server
+from vlagents import ImageSpec, Metadata, Observation, PartSpec, Server
 from vlagents.policies.scripted import ScriptedPolicy
 
 from rcs.envs.observers.dataset_info import dataset_info
@@ -22,7 +24,7 @@ from rcs.policy import Execution, ServedPolicy
 from rcs.rollout.episode import EpisodeResult, run_episode
 from rcs.rollout.evaluate import evaluate, film
 from rcs.rollout.evaluation import Evaluation, Summary
-from rcs.rollout.foreign import ForeignEnv, ForeignSimulator
+from rcs.rollout.foreign import ForeignEnv, ForeignSimulator, _setup
 from rcs.rollout.serving import ServerProcess
 
 TINY = Path(__file__).parents[2] / "packages" / "vlagents" / "tests" / "simulators"
@@ -236,6 +238,22 @@ def test_the_setup_has_the_mapping_and_all_that_decides_what_happens(tmp_path: P
     with ForeignEnv(replace(tiny(tmp_path), mapping=other)) as env:
         assert env.setup != setup
         assert env.setup.task_options["mapping"]["wait"] == 5
+
+
+def test_the_size_of_images_is_part_of_the_setup(tmp_path: Path) -> None:
+    simulator = tiny(tmp_path)
+    with ForeignEnv(simulator) as env:
+        own = env._connection
+        facts = replace(own.facts, images=(ImageSpec("front", 24, 32),))
+        larger: Any = SimpleNamespace(facts=facts, mapping=own.mapping, offer=own.mapping.offer(facts))
+        assert _setup(own, simulator) == env.setup
+        assert _setup(larger, simulator) != env.setup
+
+
+@pytest.mark.parametrize("options", [{"options": {"size": "64"}}, {"python": Path(sys.executable)}])
+def test_what_a_simulator_that_runs_cannot_be_told_is_refused(options: Any) -> None:
+    with pytest.raises(InvalidSetup, match=r"vla://127\.0\.0\.1:9 runs already\. Give its options to"):
+        ForeignSimulator(name="vla://127.0.0.1:9", **options)
 
 
 def test_a_mapping_or_a_policy_that_does_not_fit_is_refused_before_the_first_episode(

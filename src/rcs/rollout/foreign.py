@@ -46,9 +46,9 @@ class ForeignSimulator:
     name: str
     """`simulator:task`, such as `libero:libero_spatial/0`; or the address of `vlagents simulate`, `vla://host:port`."""
     python: Path | None = None
-    """Python of the simulator's environment; None for the one that `make sims` makes."""
+    """Python of the simulator's environment; None for the one that `make sims` makes, and at an address."""
     options: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Options of the simulator, such as `size` of images."""
+    """Options of the simulator, such as `size` of images; none at an address."""
     mapping: Path | None = None
     """JSON file with a `SimulatorMapping`; None for the simulator's own."""
     timeout: float = 120.0
@@ -57,6 +57,18 @@ class ForeignSimulator:
     """Longest duration until the simulator listens [s]."""
     log: Path | None = None
     """File to which everything is appended that the simulator prints; None for a new temporary one."""
+
+    def __post_init__(self) -> None:
+        """Check the options.
+
+        Raises:
+            InvalidSetup: The simulator runs already, so that nobody would read its options or its Python.
+        """
+        if self.is_address and (self.options or self.python is not None):
+            raise InvalidSetup(
+                f"The simulator at {self.name} runs already. Give its options to `vlagents simulate`, and leave out "
+                "simulator_options and simulator_python."
+            )
 
     @property
     def is_address(self) -> bool:
@@ -346,6 +358,7 @@ def _setup(connection: Connection, simulator: ForeignSimulator) -> Setup:
             "mapping": mapping.to_dict(),
             "versions": dict(facts.versions),
             "options": dict(simulator.options),
+            "images": {image.name: [image.height, image.width] for image in connection.offer.images},
         },
         robot=facts.name.partition(":")[0],
         cameras=Cameras(names=tuple(image.name for image in mapping.images)),
