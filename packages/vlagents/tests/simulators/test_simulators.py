@@ -94,6 +94,18 @@ def test_a_mapping_that_does_not_fit_is_refused_with_all_differences(served: Ser
         own.check(replace(facts, starts=0))
 
 
+def test_a_mapping_with_two_of_a_name_or_a_part_of_nothing_is_refused(served: Server) -> None:
+    with simulator(served) as client:
+        own = client.mapping
+    for wrong, words in (
+        (replace(own, images=own.images * 2), "images: 'front' is there twice"),
+        (replace(own, state=(*own.state, own.state[0])), "state: 'tquat' is there twice"),
+        (replace(own, state=(PartMap(name="empty", of=()),)), "state: 'empty' is of nothing; there are 'pose'"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            SimulatorClient(str(served.address), wrong)
+
+
 def test_a_mapping_survives_json_and_every_field_is_part_of_it(served: Server) -> None:
     with simulator(served) as client:
         mapping, facts = client.mapping, client.facts

@@ -145,6 +145,9 @@ class SimulatorMapping(Record):
         return np.clip(raw, facts.low, facts.high)
 
     def _differences(self, facts: Facts) -> Iterator[str]:
+        for what, named in (("images", self.images), ("state", self.state), ("action", self.action)):
+            names = [one.name for one in named]
+            yield from (f"{what}: {name!r} is there twice" for name in dict.fromkeys(names) if names.count(name) > 1)
         cameras = [image.name for image in facts.images]
         for image in self.images:
             if image.camera not in cameras:
@@ -152,6 +155,9 @@ class SimulatorMapping(Record):
         for what, parts, own in (("state", self.state, facts.state), ("action", self.action, facts.action)):
             sizes = _sizes(own)
             for part in parts:
+                if not part.of:
+                    yield f"{what}: {part.name!r} is of nothing; there are {_listed(list(sizes))}"
+                    continue
                 if unknown := [name for name in part.of if name not in sizes]:
                     yield f"{what}: {part.name!r} is of {_listed(unknown)}; there are {_listed(list(sizes))}"
                     continue
