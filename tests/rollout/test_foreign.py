@@ -278,7 +278,7 @@ def test_a_mapping_or_a_policy_that_does_not_fit_is_refused_before_the_first_epi
 
 
 def test_what_cannot_start_says_why(tmp_path: Path) -> None:
-    with pytest.raises(RcsError, match=r"(?s)ended with 1.*near, far"):
+    with pytest.raises(RcsError, match=r"(?s)ended with 1\. All that it printed is in .*simulator\.log:\n.*near, far"):
         ForeignEnv(tiny(tmp_path, task="nearby"))
     with pytest.raises(InvalidSetup, match="make sims"):
         ForeignEnv(ForeignSimulator(name="maniskill:PickCube-v1", python=tmp_path / "python"))

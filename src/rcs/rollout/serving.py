@@ -77,7 +77,7 @@ class ServerProcess:
 
         Raises:
             InvalidSetup: It answers, and what it serves does not fit.
-            RcsError: It ended, or does not answer in time; the message has its last lines.
+            RcsError: It ended, or does not answer in time; the message has its last lines, and the file with all.
         """
         until = time.monotonic() + patience
         while True:
@@ -87,12 +87,14 @@ class ServerProcess:
                 raise
             except RcsError as err:
                 if (code := self._process.poll()) is not None:
-                    raise RcsError(f"The server ended with {code}:\n{_last_lines(self._log)}") from err
+                    raise RcsError(f"The server ended with {code}. {self._said()}") from err
                 if time.monotonic() > until:
-                    raise RcsError(
-                        f"The server does not answer after {patience:g} s: {err}\n{_last_lines(self._log)}"
-                    ) from err
+                    raise RcsError(f"The server does not answer after {patience:g} s: {err} {self._said()}") from err
             time.sleep(_PAUSE)
+
+    def _said(self) -> str:
+        lines = self._log.read_text(errors="replace").splitlines()[-_TOLD:]
+        return "\n".join([f"All that it printed is in {self._log}:", *lines])
 
     def end(self, grace: float = _GRACE) -> None:
         """End it and its children, which are a session of their own. A second call does nothing.
@@ -146,7 +148,3 @@ def _free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def _last_lines(log: Path) -> str:
-    return "\n".join(log.read_text(errors="replace").splitlines()[-_TOLD:])
