@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -284,6 +284,22 @@ def test_what_cannot_start_says_why(tmp_path: Path) -> None:
         ForeignEnv(ForeignSimulator(name="maniskill:PickCube-v1", python=tmp_path / "python"))
     with pytest.raises(RcsError, match="ConnectionLost"):
         ForeignEnv(ForeignSimulator(name="vla://127.0.0.1:9"))
+
+
+def test_a_simulator_of_which_no_environment_can_be_made_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, processes_with: Callable[[str], list[str]]
+) -> None:
+    mark = f"RCS_TEST_SIMULATOR={tmp_path}"
+    monkeypatch.setenv(*mark.split("=", 1))
+
+    def fail(*_: Any) -> Setup:
+        assert processes_with(mark), "it listens"
+        raise InvalidSetup("on purpose")
+
+    monkeypatch.setattr("rcs.rollout.foreign._setup", fail)
+    with pytest.raises(InvalidSetup, match="on purpose"):
+        ForeignEnv(tiny(tmp_path))
+    assert processes_with(mark) == []
 
 
 def test_actions_are_checked_and_episodes_end_as_elsewhere(tmp_path: Path) -> None:

@@ -121,7 +121,11 @@ class Connection:
         self._process: ServerProcess | None = None
         self._client: SimulatorClient | None = None
         client = self._open()
-        self.facts, self.mapping, self.offer = client.facts, client.mapping, client.offer
+        try:
+            self.facts, self.mapping, self.offer = client.facts, client.mapping, client.offer
+        except BaseException:
+            self.close(must_end=True)
+            raise
 
     def begin(self, seed: int) -> Moment:
         """Begin an episode; a simulator that was lost before is started, or connected to, again.
@@ -283,19 +287,23 @@ class ForeignEnv(Env):
             InvalidSetup: The mapping does not fit the simulator; the message has all differences.
             RcsError: It does not start or cannot be reached.
         """
-        self._connection = Connection(simulator)
-        self._port, self._is_closed = ForeignPort(self._connection), False
+        self._connection, self._is_closed = Connection(simulator), False
         facts, mapping = self._connection.facts, self._connection.mapping
-        super().__init__(
-            Stack(Chain([self._port])),
-            ForeignClock(self._connection, self._port),
-            setup=_setup(self._connection, simulator),
-            platform={facts.name.partition(":")[0]: "simulation"},
-            instruction=mapping.instruction,
-            max_episode_steps=mapping.steps,
-            render_mode="rgb_array" if mapping.images else None,
-            title=f"{facts.name} ({', '.join(f'{name} {version}' for name, version in facts.versions.items())})",
-        )
+        try:
+            self._port = ForeignPort(self._connection)
+            super().__init__(
+                Stack(Chain([self._port])),
+                ForeignClock(self._connection, self._port),
+                setup=_setup(self._connection, simulator),
+                platform={facts.name.partition(":")[0]: "simulation"},
+                instruction=mapping.instruction,
+                max_episode_steps=mapping.steps,
+                render_mode="rgb_array" if mapping.images else None,
+                title=f"{facts.name} ({', '.join(f'{name} {version}' for name, version in facts.versions.items())})",
+            )
+        except BaseException:
+            self._connection.close(must_end=True)
+            raise
 
     def reset(  # pyright: ignore[reportIncompatibleMethodOverride]  as `Env.reset`
         self, seed: int | None = None, *, options: Mapping[str, Any] | None = None
