@@ -76,6 +76,21 @@ def test_whole_checkpoints_are_found_and_named_by_their_run(trained: Path) -> No
     assert checkpoints_in(trained / "run") == found
 
 
+def test_paths_may_be_relative_to_a_folder_of_the_run_or_of_the_ledger(
+    call_unwrapped: Any, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(trained / "run" / "checkpoints")
+    found = checkpoints_in(Path(".."))
+    assert [(steps, name_of(path)) for steps, path in found] == [(1000, "act"), (2000, "act")]
+    (tmp_path / "out").mkdir()
+    monkeypatch.chdir(tmp_path / "out")
+    broken = f"{sys.executable} -c 1/0 {{checkpoint}} {{port}}"
+    code, told = call_unwrapped("sweep", trained, "--serve", broken, "--out", ".")
+    assert code == 1
+    assert "ZeroDivisionError" in told
+    assert (tmp_path / "out-server.log").is_file()
+
+
 def test_checkpoints_of_a_run_that_was_copied_without_links_are_found(trained: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(trained, tmp_path / "copy")  # follows links, as scp does
     assert not (copy / "run" / "checkpoints" / "last").is_symlink()
@@ -224,6 +239,7 @@ def test_what_is_wrong_with_a_run_or_a_command_is_said(
         ((str(trained),), "is a checkpoint of LeRobot; say by --serve"),
         ((str(trained), "--page", "127.0.0.1:8080"), "name these by hardware"),
         ((str(trained), "--serve", "python -m mine {port}"), "has no {checkpoint}"),
+        ((str(trained), "--serve", "python 'mine {checkpoint} {port}"), "No closing quotation. Correct its quotes"),
         ((str(trained), "--serve", "/nothing/here {checkpoint} {port}"), "Could not start '/nothing/here'"),
         ((str(trained), "--serve", f"{sys.executable} -c 1/0 {{checkpoint}} {{port}}"), "ZeroDivisionError"),
     ]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -120,7 +121,8 @@ class SweepCommand(SetupOptions):
                 setup, agent, trained = self._own_setup(path), str(path), None
             else:
                 self.ledger.out.mkdir(parents=True, exist_ok=True)
-                log = self.ledger.out.with_name(f"{self.ledger.out.name}-server.log")
+                out = self.ledger.out.resolve()  # `.` has no name
+                log = out.with_name(f"{out.name}-server.log")
                 address = stack.enter_context(serving(self.serve, path, log))
                 agent = ServedPolicy(address=address, execution=self.execution, trained=steps)
                 setup, trained = fitted_setup(replace(self, task=self.task or "PickCuboid"), agent.metadata()), steps
@@ -226,6 +228,6 @@ def _steps_of(last: Path, found: Sequence[tuple[int, Path]]) -> int | None:
 
 def name_of(checkpoint: Path) -> str:
     """Return the name of the run of a checkpoint: that of the folder above `checkpoints`, or above `run`."""
-    parts = checkpoint.absolute().parts
+    parts = Path(os.path.normpath(checkpoint.absolute())).parts  # without `..`; where links lead does not matter
     above = [part for part in parts[: len(parts) - parts[::-1].index(CHECKPOINTS) - 1] if part != "run"]
     return above[-1]

@@ -128,10 +128,14 @@ def serving(command: str, checkpoint: Path, log: Path, *, patience: float = PATI
         patience: How long it may take until it answers [s].
 
     Raises:
-        InvalidSetup: The command lacks a place for checkpoint or port, or there is no such program.
+        InvalidSetup: The command has an open quotation, or lacks a place for checkpoint or port, or there is no such
+            program.
         RcsError: The server ended, or does not answer in time.
     """
-    words = shlex.split(command)
+    try:
+        words = shlex.split(command)
+    except ValueError as err:
+        raise InvalidSetup(f"The command {command!r} is no line of a shell: {err}. Correct its quotes.") from err
     for name in ("{checkpoint}", "{port}"):
         if not any(name in word for word in words):
             raise InvalidSetup(f"The command {command!r} has no {name}; give it a place, as in `--port {{port}}`.")
