@@ -239,6 +239,8 @@ def test_what_is_wrong_with_a_run_or_a_command_is_said(
         ((str(trained),), "is a checkpoint of LeRobot; say by --serve"),
         ((str(trained), "--page", "127.0.0.1:8080"), "name these by hardware"),
         ((str(trained), "--serve", "python -m mine {port}"), "has no {checkpoint}"),
+        ((str(trained), "--serve", "x {checkpoint} {port}", "--workers", "2"), "serve has one process"),
+        ((str(trained), "--serve", "x {checkpoint} {port}", "--ray", "auto"), "leave out workers and ray"),
         ((str(trained), "--serve", "python 'mine {checkpoint} {port}"), "No closing quotation. Correct its quotes"),
         ((str(trained), "--serve", "/nothing/here {checkpoint} {port}"), "Could not start '/nothing/here'"),
         ((str(trained), "--serve", f"{sys.executable} -c 1/0 {{checkpoint}} {{port}}"), "ZeroDivisionError"),

@@ -81,6 +81,10 @@ class SweepCommand(SetupOptions):
             raise InvalidSetup(f"There is no checkpoint in {self.training}; valid is the folder of a run.")
         if self.page is not None and self.hardware is None:
             raise InvalidSetup("page asks how episodes on devices went; name these by hardware.")
+        if self.serve is not None and (self.pool.ray is not None or self.pool.workers > 1):
+            raise InvalidSetup(
+                "serve has one process, beside its server: leave out workers and ray, and start more sweeps."
+            )
         rates: dict[int, tuple[float, Path]] = {}
         while True:
             for steps, path in (one for one in found if one[0] not in rates):
