@@ -222,7 +222,7 @@ def results_table(summary: Summary, seconds: float, workers: int | str) -> Table
         workers: How many processes made them, or where they were made, in words.
     """
     made = len(summary.attempts) - summary.found
-    steps = sum(attempt.result.steps for attempt in summary.attempts[summary.found :])
+    steps = sum(attempt.result.steps for attempt in summary.attempts if not attempt.is_found)
     low, high = (100 * bound for bound in summary.interval)
     interval = f"{summary.successes} of {summary.judged} = {_rate(summary, '')} (95 % Wilson interval {low:.1f} to "
     rate = made / seconds

@@ -120,6 +120,8 @@ class Attempt:
     """How long each answer of a policy took [s]."""
     seconds: float = field(default=0.0, compare=False)
     """Duration by the clock [s]."""
+    is_found: bool = field(default=False, compare=False)
+    """Whether it was not made here, but is in the ledger."""
 
 
 @dataclass

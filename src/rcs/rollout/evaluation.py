@@ -103,7 +103,7 @@ class Summary:
     """Results of an evaluation or a collection."""
 
     attempts: list[Attempt] = field(default_factory=list[Attempt])
-    """Attempts in the order of their ends, after those that were there before."""
+    """Attempts in the order of their ends, after those that were there before; in the end those of other processes."""
     found: int = 0
     """How many of them were not run, but found in the ledger."""
     episodes: int | None = None

@@ -301,7 +301,7 @@ def _attempt(number: int, row: Row) -> Attempt:
         stages=row.stages,
         tags=row.tags,
     )
-    return Attempt(number=number, result=result, weights=row.weights, seconds=row.seconds)
+    return Attempt(number=number, result=result, weights=row.weights, seconds=row.seconds, is_found=True)
 
 
 def differs(row: Row, result: EpisodeResult) -> bool:
