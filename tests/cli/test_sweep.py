@@ -276,6 +276,7 @@ def test_checkpoints_of_a_training_are_swept_and_go_on(call_unwrapped: Any, tmp_
     assert code == 0, told
     names = list(dict.fromkeys(row.agent for row in Ledger(out).rows.values()))
     assert len(names) == len(checkpoints_in(run)) + 1
+    assert all({"torch", "stable-baselines3"} <= one.versions.keys() for one in Ledger(out).conditions.values())
     assert names[-1].endswith(" again")
     assert all(name.startswith("pick@") for name in names)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import hashlib
 import importlib.metadata
@@ -46,6 +47,10 @@ def condition_of(evaluation: Evaluation, identity: Identity, env: Env | None = N
         setup = with_camera_names(setup)
         parts = resolve(setup)  # before anything is written
         own, models = list(_modules(setup, parts)), _models(parts)
+    if identity.trained is not None and not identity.policy:  # a network in this process: other sums, other actions
+        for name in ("torch", "stable-baselines3"):
+            with contextlib.suppress(importlib.metadata.PackageNotFoundError):  # the agent says what it lacks
+                software[name] = importlib.metadata.version(name)
     if identity.policy or evaluation.simulator is not None:
         software["rcs-vlagents"] = importlib.metadata.version("rcs-vlagents")
     platform = {} if env is None else env.platform
