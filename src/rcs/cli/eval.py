@@ -56,12 +56,11 @@ class EvalCommand(SetupOptions):
             **self.ledger.checked(),
         )
         console, summary = plain_console(soft_wrap=False), Summary()
-        made_by: int | str = (evaluation.ray and f"Ray cluster {evaluation.ray}") or evaluation.workers
+        attempts, made_by = attempts_of(evaluation, summary, self.pool)
         started, videos = time.perf_counter(), 0
         try:
             with interruptible(summary, console):
                 title = f"{evaluation.setup.task} on {evaluation.setup.robot_label}"
-                attempts, made_by = attempts_of(evaluation, summary, self.pool)
                 show(attempts, title, len(evaluation.numbers), console, summary)
             videos = self.ledger.videos
         finally:
