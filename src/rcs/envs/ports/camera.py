@@ -79,12 +79,15 @@ class CameraPort(Port):
         self._learn()
 
     def check(self) -> None:
-        """Check that all cameras are plugged in, are different devices and fit on their buses.
+        """Check that all cameras are plugged in, are different devices and fit on their buses, before they are opened.
+
+        One that is unplugged later is stale, and its thread opens it again.
 
         Raises:
             InvalidSetup: They are not, or do not.
         """
-        require_plugs(self._cameras)
+        if not all(feed.is_running for feed in self._feeds.values()):
+            require_plugs(self._cameras)
 
     def open(self) -> None:
         """Connect all cameras at once and wait for a frame of each.

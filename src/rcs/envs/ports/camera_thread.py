@@ -55,13 +55,18 @@ class CameraFeedThread:
         self._is_left = False
         self._called: float | None = None
 
+    @property
+    def is_running(self) -> bool:
+        """Whether the camera is connected, or being connected, and nobody has asked for its end."""
+        return self._thread is not None and not self._must_end.is_set()
+
     def start(self) -> bool:
         """Connect the camera and read it, on the thread; return False where that has begun before.
 
         Raises:
             DeviceFault: A call of the camera has not returned since it was last closed.
         """
-        if self._thread is not None and not self._must_end.is_set():
+        if self.is_running:
             return False
         if self._thread is not None and self._thread.is_alive():
             raise DeviceFault(
