@@ -115,6 +115,8 @@ class Engine:
         self._must_rebase = False
         self.is_started, self._broken_off_by = True, ""
         info.update(time=self._judge.time(), instruction=np.full(self.leading, self.instruction, object))
+        if again := self.stack.reconnections():
+            info["reconnections"] = again  # those so far, which are not of this episode
         info = info if self.leading else row(info, ...)
         self.observers.on_reset(observation, info, self._seeds_of(copies))
         return observation, info
