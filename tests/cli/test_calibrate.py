@@ -3,15 +3,33 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import rcs
 from rcs.calibration import Board
+from rcs.cli.calibrate.session import SessionOptions
 from rcs.cli.main import main
+from rcs.devices.fakes import FakeArm
+from rcs.envs.planner_for import planner_for
+from rcs.hardware import FakeDriver
+from rcs.robots import FR3
+from rcs.robots.description import ArmDescription
 
 pytestmark = [pytest.mark.extras, pytest.mark.gl]
+
+
+class Away(FakeDriver):
+    """Driver of arms that are not at home."""
+
+    def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> FakeArm:
+        arm = super().arm(address, about, options)
+        arm.body.values = arm.body.target = np.array(about.home) + 0.2
+        return arm
 
 
 def run(*words: str) -> int:
@@ -96,3 +114,19 @@ def test_a_check_without_a_board_says_how_to_get_one(tmp_path: Path, capsys: pyt
     file.write_text('{"cameras": {}}')
     assert run("check", "--calibration", str(file)) == 1
     assert "rcs calibrate hand-eye --camera wrist" in capsys.readouterr().err
+
+
+def test_ways_are_checked_against_the_other_arms_where_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arms = {name: f"{__name__}:Away:{name}" for name in ("left", "right")}
+    site = rcs.Site(arms=arms, grippers=dict.fromkeys(arms, "fake"), cameras={"right_wrist": "fake"})
+    site.write(tmp_path / "site.json")
+    monkeypatch.setattr("rcs.cli.calibrate.session.FreePath", lambda twin, robot: planner_for(twin, "left").joints)
+    given: list[Any] = []
+    monkeypatch.setattr("rcs.cli.calibrate.session.look_around", lambda *_, is_free, **__: given.append(is_free))
+    options = SessionOptions(robot="dual_fr3", camera="right_wrist", hardware=str(tmp_path / "site.json"))
+    strategy: Any = None
+    with options.session(options.setup()) as (_, _, look):
+        look(strategy)
+    np.testing.assert_allclose(given[0], np.array(FR3.home) + 0.2, atol=1e-6)

@@ -122,6 +122,12 @@ class Tour:
         return np.array(self._own[JOINTS], np.float64)
 
     @property
+    def all_joints(self) -> dict[str, Any]:
+        """Present joints of all arms, as the reset option `robot` has them."""
+        parts = split_by_robot(self._env.robots, self._observation)
+        return join_robots({name: {JOINTS: np.array(part[JOINTS], np.float64)} for name, part in parts.items()})
+
+    @property
     def _own(self) -> dict[str, Any]:
         return split_by_robot(self._env.robots, self._observation)[self._robot]
 

@@ -71,10 +71,12 @@ class SessionOptions:
             twin = env
             if self.hardware is not None:
                 twin = open_ones.enter_context(rcs.make(replace(setup, stepping="sync")))
-                twin.reset()
             mounted = MountedCamera.of(setup, self.camera)
             robot = mounted.robot.name
-            lens = Tour(env, robot=robot, speed=self.speed).intrinsics(self.camera)
+            tour = Tour(env, robot=robot, speed=self.speed)
+            lens = tour.intrinsics(self.camera)
+            if twin is not env:  # the other arms are in the way where they are, which need not be at home
+                twin.reset(options={"robot": tour.all_joints})
             is_free, confirm = FreePath(twin, robot), None if self.hardware is None or self.yes else _ask
 
             def look(strategy: BoardStrategy) -> None:
