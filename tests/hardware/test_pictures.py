@@ -71,3 +71,32 @@ def test_a_mode_or_camera_that_is_not_there_is_invalid_and_another_refusal_a_fau
             pictures.open()
         pictures.close()
         thread.join()
+
+
+def test_a_clock_that_is_set_back_is_fitted_anew() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        pictures = HttpPictures(f"http://127.0.0.1:{server.getsockname()[1]}/", CameraMode(320, 240, 30.0, False))
+        goes_on = threading.Event()
+
+        def answer() -> None:
+            connection, _ = server.accept()
+            with connection:
+                connection.recv(4096)
+                first, second = (f"--x\r\nContent-Length: 4\r\nX-Timestamp: {at}\r\n\r\njpeg" for at in (100.0, 99.5))
+                connection.sendall(HEAD + first.encode())
+                goes_on.wait(20.0)
+                connection.sendall(second.encode())
+                connection.recv(4096)  # until it is closed there
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        pictures.open()
+        pictures.newest()
+        goes_on.set()
+        with pytest.raises(DeviceFault, match=r"back to 99\.500 s"):
+            pictures.newest()
+        pictures.close()
+        thread.join()
+        time.sleep(0.6)
+        begin = time.monotonic()
+        assert first_picture(pictures, server, 100.05).time >= begin, "it is not as old as the step of the clock"

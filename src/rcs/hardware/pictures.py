@@ -163,8 +163,10 @@ class HttpPictures:
             taken = self.clock.host_time(at, arrived)
         except DeviceFault:
             if not is_first:
+                self.clock = DeviceClock(self._latency)  # of the times from here on, the fit knows nothing
                 raise
-        if is_first and arrived - taken > READ_LIMIT:  # the camera's clock has begun anew with the connection
+        # A first picture that is so late says that the camera's clock has begun anew with the connection.
+        if is_first and arrived - taken > READ_LIMIT + self._latency:
             self.clock = DeviceClock(self._latency)
             taken = self.clock.host_time(at, arrived)
         return Picture(jpeg=jpeg, number=self._number, time=taken, device_time=at)
