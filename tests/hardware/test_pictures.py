@@ -100,3 +100,30 @@ def test_a_clock_that_is_set_back_is_fitted_anew() -> None:
         time.sleep(0.6)
         begin = time.monotonic()
         assert first_picture(pictures, server, 100.05).time >= begin, "it is not as old as the step of the clock"
+
+
+def test_bytes_that_are_no_picture_end_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.hardware.pictures.FIRST_LIMIT", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        is_over = threading.Event()
+
+        def answer() -> None:
+            connection, _ = server.accept()
+            with connection:
+                connection.recv(4096)
+                connection.sendall(HEAD)
+                end = time.monotonic() + 5.0  # else there would be bytes without end
+                while not is_over.wait(5e-4) and time.monotonic() < end:
+                    connection.sendall(b"x" * 1000)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        pictures = HttpPictures(f"http://127.0.0.1:{server.getsockname()[1]}/", CameraMode(320, 240, 30.0, False))
+        pictures.open()
+        begin = time.monotonic()
+        with pytest.raises(DeviceFault, match="in time"):
+            pictures.newest()
+        assert time.monotonic() - begin < 3.0
+        is_over.set()
+        thread.join()
+        pictures.close()

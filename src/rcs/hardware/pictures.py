@@ -146,10 +146,10 @@ class HttpPictures:
             if (part := self._part()) is not None:
                 found = part
                 self._number += 1
-            elif found is not None and not self._is_waiting():
+            elif found is not None and (time.monotonic() > until or not self._is_waiting()):
                 break
             else:
-                self._fill(until)
+                self._fill(until if found is None else time.monotonic() + READ_LIMIT)
         arrived = self._empty_at = time.monotonic()
         fields, jpeg = found
         is_first, self._is_first = self._is_first, False
@@ -212,7 +212,9 @@ class HttpPictures:
         """Read what has come, or wait for it."""
         if self._socket is None:
             raise DeviceFault(f"the camera at {self._url} is not connected")
-        self._socket.settimeout(max(until - time.monotonic(), 1e-3))
+        if (left := until - time.monotonic()) <= 0:
+            raise DeviceFault(f"no picture from {self._url} in time")
+        self._socket.settimeout(left)
         try:
             data = self._socket.recv(1 << 20)
         except TimeoutError as err:
