@@ -127,3 +127,9 @@ def test_bytes_that_are_no_picture_end_in_time(monkeypatch: pytest.MonkeyPatch) 
         is_over.set()
         thread.join()
         pictures.close()
+
+
+@pytest.mark.parametrize("url", ["http://camera:99999/x", "http://camera:abc/x", "http://[::1/x", "rtsp://camera/x"])
+def test_an_address_that_is_none_is_refused_with_what_is_valid(url: str) -> None:
+    with pytest.raises(InvalidSetup, match="http://HOST:PORT/PATH"):
+        HttpPictures(url, CameraMode(320, 240, 30.0, False))

@@ -88,11 +88,15 @@ class HttpPictures:
         Raises:
             InvalidSetup: The URL is not valid.
         """
-        parts = urlsplit(url)
+        try:
+            parts = urlsplit(url)
+            port = parts.port or 80
+        except ValueError:  # the port, or a bracket that is not closed
+            parts, port = urlsplit(""), 0
         if parts.scheme != "http" or not parts.hostname:
             raise InvalidSetup(f"The address of a camera is {url!r}; valid on a network is 'http://HOST:PORT/PATH'.")
         self.serial = serial
-        self._url, self._host, self._port = url, parts.hostname, parts.port or 80
+        self._url, self._host, self._port = url, parts.hostname, port
         query = f"resolution={mode.width}x{mode.height}&fps={mode.fps:g}"
         self._path = f"{parts.path or '/'}?{parts.query + '&' if parts.query else ''}{query}"
         self._latency = latency
