@@ -160,7 +160,7 @@ class HttpPictures:
         try:
             at = float(fields["x-timestamp"])
         except (KeyError, ValueError):  # it has no clock
-            taken = arrived if math.isnan(earliest) else earliest
+            taken = arrived if math.isnan(earliest) else earliest + 1e-6  # after the picture before
             return Picture(jpeg=jpeg, number=self._number, time=max(taken - self._latency, 0.0))
         taken = -math.inf
         try:
