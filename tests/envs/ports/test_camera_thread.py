@@ -1,10 +1,12 @@
-"""The thread of a camera is the only one that makes frames; what others add to them is not lost."""
+"""The thread of a camera is the only one that makes frames, and connects it; what others add to frames is not lost."""
 
 from __future__ import annotations
 
 import threading
 import time
 from typing import Any
+
+import pytest
 
 from rcs.devices import CameraMode, Frame
 from rcs.devices.fakes import FakeCamera
@@ -44,4 +46,16 @@ def test_a_thread_that_runs_is_not_started_again() -> None:
     assert not feed.start()
     feed.close()
     assert feed.start()
+    feed.close()
+
+
+def test_a_fault_from_before_does_not_delay_the_first_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.envs.ports.camera_thread.RECONNECT", 60.0)
+    camera = FakeCamera(CameraMode(64, 48, 100.0, False))
+    camera.set_fault("its cable was out")
+    feed = CameraFeedThread("side", camera, lambda frame: {"number": frame.number})
+    feed.start()
+    feed.wait(time.monotonic() + 20.0)
+    assert not feed.failure
+    assert not camera.fault
     feed.close()

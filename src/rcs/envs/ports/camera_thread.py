@@ -118,7 +118,7 @@ class CameraFeedThread:
     def _run(self) -> None:
         try:
             self._called = time.monotonic()
-            self._camera.open()
+            self._connect()
             self._read_on()
         except Exception as err:  # noqa: BLE001  raised by `wait` or `close`, whoever waits
             self._error, self.failure = err, self.failure or str(err)
@@ -161,13 +161,17 @@ class CameraFeedThread:
             self._called = time.monotonic()
             self._camera.close()
             if not self._must_end.is_set():
-                self._camera.open()
-                if self._camera.fault:
-                    self._camera.recover()
+                self._connect()
                 self.reconnections += self._has_begun.is_set()
         except Exception as err:  # noqa: BLE001  the next read fails too, and tries again
             self.failure = f"{type(err).__name__}: {err}"
         self._called = None
+
+    def _connect(self) -> None:
+        """Open the camera, and have it leave a fault from before."""
+        self._camera.open()
+        if self._camera.fault:
+            self._camera.recover()
 
     def end(self) -> None:
         """Ask the thread to let go of the camera; `close` waits for it."""
