@@ -71,6 +71,7 @@ class Realsense(Camera):
         self._known_calibration: CameraCalibration | None = None
         self._clock = DeviceClock(self._latency)
         self._failures = 0
+        self._is_new = False  # opened, and not read yet
         self._told: dict[str, Any] = {}
 
     @property
@@ -95,7 +96,7 @@ class Realsense(Camera):
     def _open(self) -> None:
         try:
             self._start()
-            self._failures = 0
+            self._failures, self._is_new = 0, True
         except InvalidSetup:
             raise
         except RuntimeError as err:  # the library's own errors
@@ -103,8 +104,9 @@ class Realsense(Camera):
             self._fail(err, "" if place is None else _forbidden([place]) or _held(place))
 
     def _recover(self) -> None:
-        self._stop()
-        self._open()
+        if not self._is_new:  # else the fault is from before this connection
+            self._stop()
+            self._open()
 
     def _start(self) -> None:
         rs = _library()
@@ -138,6 +140,7 @@ class Realsense(Camera):
             count += 1
 
     def _read(self) -> Frame:
+        self._is_new = False
         rs = _library()
         if self._pipeline is None:
             raise DeviceFault("the camera is not connected")
@@ -163,7 +166,7 @@ class Realsense(Camera):
         self._stop()
 
     def _stop(self) -> None:
-        pipeline, self._pipeline = self._pipeline, None
+        pipeline, self._pipeline, self._is_new = self._pipeline, None, False
         if pipeline is not None:
             try:
                 pipeline.stop()

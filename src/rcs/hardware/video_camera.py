@@ -43,8 +43,7 @@ class VideoCamera(Camera):
         super().__init__(name, mode)
         self._pictures = pictures
         self._options = dict(options)
-        self.damaged = 0
-        """Number of pictures that came damaged, and were dropped."""
+        self._is_new = False  # opened, and not read yet
 
     @property
     def about(self) -> dict[str, Any]:
@@ -57,6 +56,7 @@ class VideoCamera(Camera):
 
     def _open(self) -> None:
         self._start()
+        self._is_new = True
 
     def _start(self) -> None:
         """Connect, and drop the first pictures: they come late, which would make their times wrong."""
@@ -75,6 +75,7 @@ class VideoCamera(Camera):
                 return
 
     def _read(self) -> Frame:
+        self._is_new = False
         until = time.monotonic() + READ_LIMIT
         while True:
             picture = self._pictures.newest()
@@ -83,14 +84,14 @@ class VideoCamera(Camera):
                 try:
                     rgb = simplejpeg.decode_jpeg(picture.jpeg, colorspace="RGB", strict=True)
                 except ValueError as err:  # bytes are missing: the picture is torn
-                    self.damaged += 1
                     if time.monotonic() > until:
                         raise DeviceFault(f"all pictures for {READ_LIMIT:g} s were damaged: {err}") from err
                     continue
             return Frame(rgb, number=picture.number, time=picture.time, device_time=picture.device_time)
 
     def _recover(self) -> None:
-        self._start()
+        if not self._is_new:  # else the fault is from before this connection
+            self._start()
 
     def _close(self) -> None:
         self._pictures.close()

@@ -6,11 +6,15 @@ import threading
 import time
 from typing import Any
 
+import numpy as np
 import pytest
 
 from rcs.devices import CameraMode, Frame
 from rcs.devices.fakes import FakeCamera
 from rcs.envs.ports.camera_thread import CameraFeedThread
+from rcs.errors import DeviceFault
+from rcs.hardware.pictures import Picture
+from rcs.hardware.video_camera import VideoCamera
 
 
 def test_what_is_added_to_a_frame_is_in_one_that_is_being_made_meanwhile_too() -> None:
@@ -58,4 +62,43 @@ def test_a_fault_from_before_does_not_delay_the_first_frame(monkeypatch: pytest.
     feed.wait(time.monotonic() + 20.0)
     assert not feed.failure
     assert not camera.fault
+    feed.close()
+
+
+class Counted:
+    """A source of pictures that counts connections, and fails once when it is told to."""
+
+    serial, clock = "A1", None
+
+    def __init__(self) -> None:
+        self.opened, self.number, self.fails = 0, 0, False
+
+    def open(self) -> None:
+        self.opened += 1
+
+    def newest(self) -> Picture:
+        if self.fails:
+            self.fails = False
+            raise DeviceFault("its cable is out")
+        self.number += 1
+        return Picture(rgb=np.zeros((48, 64, 3), np.uint8), number=self.number, time=time.monotonic())
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_camera_that_comes_back_is_connected_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.envs.ports.camera_thread.RECONNECT", 0.01)
+    pictures = Counted()
+    camera = VideoCamera("webcam", CameraMode(64, 48, 100.0, False), pictures, {})
+    feed = CameraFeedThread("side", camera, lambda frame: {"number": frame.number})
+    feed.start()
+    feed.wait(time.monotonic() + 20.0)
+    pictures.fails = True
+    end = time.monotonic() + 20.0
+    while not feed.reconnections:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    assert not camera.fault
+    assert pictures.opened == 2
     feed.close()
