@@ -70,8 +70,8 @@ class CameraFeedThread:
             return False
         if self._thread is not None and self._thread.is_alive():
             raise DeviceFault(
-                f"Camera {self.name!r} is still in a call of its driver that was under way when it was closed; unplug "
-                "the camera or end the process."
+                f"Camera {self.name!r} is still in a call of its driver that was under way when it was closed. Try "
+                "again in some seconds; if it stays so, unplug the camera or end the process."
             )
         self._must_end.clear()
         self._has_begun.clear()
