@@ -203,3 +203,9 @@ def test_a_camera_that_may_not_be_used_or_is_in_use_is_told_with_what_helps(
     monkeypatch.setattr("rcs.hardware.realsense.holders", lambda file: [f"viewer with {file}"])
     with pytest.raises(DeviceFault, match="the pipeline does not start; it is held by viewer with /dev/video-of-a-"):
         camera().open()
+
+
+def test_an_emitter_that_stays_off_is_a_fault(d435: Library, stereo: Sensor, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stereo, "set_option", lambda option, value: stereo.values.update({option: 0.0}))
+    with pytest.raises(DeviceFault, match="keeps emitter at 0 when it is set to 1"):
+        camera(emitter=True).open()

@@ -119,3 +119,9 @@ def test_the_program_that_has_a_file_open_is_named(tmp_path: Path) -> None:
         assert f"(process {other.pid})" in name
         other.communicate(b"\n")
     assert v4l2.holders(str(file)) == []
+
+
+def test_another_power_line_frequency_is_another_value(kernel: Kernel) -> None:
+    kernel.most = 1
+    with pytest.raises(DeviceFault, match="keeps power_line_frequency at 1 when it is set to 2"):
+        set_controls(power_line_frequency=60)

@@ -267,7 +267,8 @@ class Realsense(Camera):
                 valid = "0 (off), 50 or 60 Hz" if name == "power_line_frequency" else valid
                 raise InvalidSetup(f"{name} of {self.name} is {given[name]!r}; valid is {valid}.")
             sensors[0].set_option(ids[name], value)
-            if abs((kept := sensors[0].get_option(ids[name])) - value) > max(reach.step, 1.0):
+            tolerance = 0.5 if name in ("power_line_frequency", "emitter") else max(reach.step, 1.0)
+            if abs((kept := sensors[0].get_option(ids[name])) - value) > tolerance:
                 raise DeviceFault(f"{self.name} keeps {name} at {kept:g} when it is set to {value:g}")
 
 

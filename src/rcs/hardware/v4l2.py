@@ -96,7 +96,8 @@ def set_controls(file: int, name: str, wanted: dict[str, Any]) -> None:
             scale = 1e-4 if control == "exposure" else 1
             raise InvalidSetup(f"{control} of {name} is {value!r}; valid is {low * scale:g} to {high * scale:g}.")
         _write(file, _IDS[control], number)
-        if abs((kept := _read(file, _IDS[control])) - number) > max(step, 1):
+        tolerance = 0 if control == "power_line_frequency" else max(step, 1)
+        if abs((kept := _read(file, _IDS[control])) - number) > tolerance:
             raise DeviceFault(f"{name} keeps {control} at {kept} when it is set to {number}")
 
 
