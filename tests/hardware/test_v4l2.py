@@ -26,6 +26,8 @@ class Kernel:
         self.ranges = {EXPOSURE: (3, 2047), AUTO_EXPOSURE: (0, 3), GAIN: (0, 100), LINE: (0, 2)}
         self.values = dict.fromkeys(self.ranges, 0)
         self.disabled: set[int] = set()
+        self.refused: set[tuple[int, int]] = set()
+        """Controls with values that they do not take."""
         self.most = 2047
         """The greatest value that is kept."""
 
@@ -58,6 +60,8 @@ class Kernel:
 
     def _set(self, packet: bytearray) -> None:
         control, value = struct.unpack("<Ii", packet)
+        if (control, value) in self.refused:
+            raise LookupError
         self.values[control] = min(value, self.most)
 
 
@@ -93,6 +97,7 @@ def test_what_a_control_does_not_take_is_refused_with_what_it_does(kernel: Kerne
     for wanted, words in (
         ({"exposure": 1.0}, "exposure of webcam A1 is 1.0; valid is 0.0003 to 0.2047"),
         ({"exposure": "long"}, "'long'; valid is a number"),
+        ({"exposure": float("nan")}, "nan; valid is a number"),
         ({"power_line_frequency": 55}, "55 Hz; valid is 0 .off., 50 or 60"),
         ({"white_balance": 4000}, "no control 'white_balance'; it has exposure, power_line_frequency"),
         ({"gain": 1}, "no control 'gain'"),
@@ -125,3 +130,21 @@ def test_another_power_line_frequency_is_another_value(kernel: Kernel) -> None:
     kernel.most = 1
     with pytest.raises(DeviceFault, match="keeps power_line_frequency at 1 when it is set to 2"):
         set_controls(power_line_frequency=60)
+
+
+def test_a_camera_without_aperture_priority_chooses_its_exposure_all_the_same(kernel: Kernel) -> None:
+    kernel.refused.add((AUTO_EXPOSURE, 3))
+    kernel.values[AUTO_EXPOSURE] = 1
+    set_controls()
+    assert kernel.values[AUTO_EXPOSURE] == 0
+    kernel.refused.add((AUTO_EXPOSURE, 0))
+    set_controls()
+    kernel.refused.add((AUTO_EXPOSURE, 1))
+    with pytest.raises(InvalidSetup, match="webcam A1 always chooses its exposure itself; leave the option"):
+        set_controls(exposure=0.008)
+
+
+def test_a_value_that_a_driver_refuses_is_a_fault_that_names_it(kernel: Kernel) -> None:
+    kernel.refused.add((GAIN, 7))
+    with pytest.raises(DeviceFault, match="does not take gain = 7: Invalid argument"):
+        set_controls(gain=7)

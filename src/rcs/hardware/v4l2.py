@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import math
 import os
 import struct
 from collections.abc import Iterator
@@ -29,8 +30,8 @@ _IDS = {
     "power_line_frequency": _USER + 24,
     "lights": _CAMERA + 13,  # the zoom, which a DIGIT uses for its lights
 }
-_AUTOMATIC = {"exposure": (_CAMERA + 1, 1, 3), "white_balance": (_USER + 12, 0, 1)}
-"""The control that switches to the camera's own choice, with its values for off and on."""
+_AUTOMATIC = {"exposure": (_CAMERA + 1, (1,), (3, 0)), "white_balance": (_USER + 12, (0,), (1,))}
+"""The control that switches to the camera's own choice, with values for off and on; the first that it takes counts."""
 _LINE = {0: 0, 50: 1, 60: 2}
 
 
@@ -79,12 +80,15 @@ def set_controls(file: int, name: str, wanted: dict[str, Any]) -> None:
         wanted: Values by name, of `CONTROLS`.
 
     Raises:
-        InvalidSetup: The camera has no such control, or the value is out of its range.
-        DeviceFault: The camera keeps another value.
+        InvalidSetup: The camera has no such control or always chooses it itself, or the value is out of its range.
+        DeviceFault: The camera does not take the value, or keeps another one.
     """
     for control, (switch, off, on) in _AUTOMATIC.items():
-        if _range(file, switch) is not None:
-            _write(file, switch, off if control in wanted else on)
+        if _range(file, switch) is None:
+            continue
+        values = off if control in wanted else on
+        if not any(_takes(file, switch, value) for value in values) and control in wanted:
+            raise InvalidSetup(f"{name} always chooses its {control} itself; leave the option {control} out.")
     for control, value in wanted.items():
         known = _range(file, _IDS[control])
         if known is None:
@@ -95,7 +99,10 @@ def set_controls(file: int, name: str, wanted: dict[str, Any]) -> None:
         if not low <= number <= high:
             scale = 1e-4 if control == "exposure" else 1
             raise InvalidSetup(f"{control} of {name} is {value!r}; valid is {low * scale:g} to {high * scale:g}.")
-        _write(file, _IDS[control], number)
+        try:
+            _write(file, _IDS[control], number)
+        except OSError as err:
+            raise DeviceFault(f"{name} does not take {control} = {value!r}: {err.strerror}") from err
         tolerance = 0 if control == "power_line_frequency" else max(step, 1)
         if abs((kept := _read(file, _IDS[control])) - number) > tolerance:
             raise DeviceFault(f"{name} keeps {control} at {kept} when it is set to {number}")
@@ -115,7 +122,7 @@ def holders(path: str) -> list[str]:
 
 
 def _number(control: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise InvalidSetup(f"{control} is {value!r}; valid is a number.")
     if control == "exposure":
         return round(value * 1e4)  # the kernel counts 100 µs
@@ -145,3 +152,14 @@ def _read(file: int, control: int) -> int:
 
 def _write(file: int, control: int, value: int) -> None:
     fcntl.ioctl(file, _SET, bytearray(struct.pack("<Ii", control, value)))
+
+
+def _takes(file: int, control: int, value: int) -> bool:
+    """Set a control, and return False where its menu does not have the value."""
+    try:
+        _write(file, control, value)
+    except OSError as err:
+        if err.errno in (errno.EINVAL, errno.ERANGE):
+            return False
+        raise
+    return True
