@@ -137,3 +137,11 @@ def test_why_a_file_cannot_be_opened_decides_on_the_remedy(
     monkeypatch.setattr(v4l2, "holders", lambda path: ["cheese (process 7)"])
     with pytest.raises(DeviceFault, match=f"/dev/video7 cannot be opened: .*{words}"):
         pictures().open()
+
+
+def test_a_size_with_any_rate_is_not_refused(offered: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    offered["MJPG"] = [(640, 480, [])]
+    capture_of(monkeypatch, "MJPG")
+    pictures().open()
+    with pytest.raises(InvalidSetup, match="does not offer 1280x720 at 30 Hz as MJPG; it has 640x480 at any Hz"):
+        pictures(1280, 720).open()

@@ -164,8 +164,11 @@ class V4l2Pictures:
         try:
             mode, offered = self._mode, v4l2.modes(file, self._format)
             fits = [rates for width, height, rates in offered if (width, height) == (mode.width, mode.height)]
-            if offered and not any(abs(rate - mode.fps) < 0.5 for rates in fits for rate in rates):
-                each = "; ".join(f"{w}x{h} at {', '.join(f'{r:g}' for r in rates)} Hz" for w, h, rates in offered)
+            # A size without a list of rates has all in a range; the one that comes of it is looked at once it streams.
+            if offered and not any(not rates or any(abs(rate - mode.fps) < 0.5 for rate in rates) for rates in fits):
+                each = "; ".join(
+                    f"{w}x{h} at {', '.join(f'{r:g}' for r in rates) or 'any'} Hz" for w, h, rates in offered
+                )
                 raise InvalidSetup(
                     f"The {self._what} {self._address} does not offer {mode.width}x{mode.height} at {mode.fps:g} Hz as "
                     f"{self._format}; it has {each}."
