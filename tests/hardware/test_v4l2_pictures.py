@@ -7,13 +7,14 @@ import os
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from rcs.devices import CameraMode
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware import v4l2
 from rcs.hardware.usb import UsbDevice
-from rcs.hardware.v4l2_pictures import V4l2Pictures
+from rcs.hardware.v4l2_pictures import MOST_WAITING, V4l2Pictures
 
 PLACE = UsbDevice(path="1-2", serial="A1", product="Webcam", speed=480, nodes=("video7",))
 MODES = {"MJPG": [(640, 480, [15.0, 30.0])], "YUYV": [(640, 480, [30.0]), (1280, 720, [5.0])]}
@@ -63,7 +64,7 @@ def _opened(path: str, flags: int) -> int:
 
 def capture_of(monkeypatch: pytest.MonkeyPatch, *formats: str) -> Capture:
     capture = Capture(formats)
-    names = ("FOURCC", "FRAME_WIDTH", "FRAME_HEIGHT", "FPS", "BUFFERSIZE", "CONVERT_RGB")
+    names = ("FOURCC", "FRAME_WIDTH", "FRAME_HEIGHT", "FPS", "BUFFERSIZE", "CONVERT_RGB", "POS_MSEC")
     cv2 = SimpleNamespace(
         **{f"CAP_PROP_{name}": name for name in names},
         CAP_V4L2="V4L2",
@@ -145,3 +146,12 @@ def test_a_size_with_any_rate_is_not_refused(offered: dict[str, Any], monkeypatc
     pictures().open()
     with pytest.raises(InvalidSetup, match="does not offer 1280x720 at 30 Hz as MJPG; it has 640x480 at any Hz"):
         pictures(1280, 720).open()
+
+
+def test_a_camera_that_is_faster_than_asked_gives_pictures(offered: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    capture: Any = capture_of(monkeypatch, "MJPG")
+    capture.grab, capture.retrieve = lambda: True, lambda: (True, np.zeros((1, 4), np.uint8))
+    webcam = pictures(fps=15.0)
+    webcam.open()
+    assert webcam.newest().number == MOST_WAITING
+    assert webcam.newest().number == 2 * MOST_WAITING + 1

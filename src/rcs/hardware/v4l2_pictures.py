@@ -21,6 +21,8 @@ from rcs.hardware.usb import Plug, UsbDevice, find, usb_devices
 
 COMPRESSED_BITS, RAW_BITS = 4, 16
 """Bits per pixel of pictures as MJPG (our estimate, at good quality) and as YUYV."""
+MOST_WAITING = 10
+"""Number of pictures that wait in OpenCV's buffers at most."""
 
 
 class V4l2Pictures:
@@ -118,7 +120,7 @@ class V4l2Pictures:
         if self._capture is None:
             raise DeviceFault(f"the {self._what} {self._address} is not open")
         period, cv2 = 1.0 / self._mode.fps, self._cv2
-        while True:
+        for _ in range(MOST_WAITING + 1):
             begin = time.monotonic()
             if not self._capture.grab():
                 raise DeviceFault(f"the {self._what} {self._address} gives no picture; is its cable out?")
