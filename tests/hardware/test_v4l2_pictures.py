@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -155,3 +156,12 @@ def test_a_camera_that_is_faster_than_asked_gives_pictures(offered: Any, monkeyp
     webcam.open()
     assert webcam.newest().number == MOST_WAITING
     assert webcam.newest().number == 2 * MOST_WAITING + 1
+
+
+def test_another_camera_at_the_same_place_is_refused(offered: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    capture_of(monkeypatch, "MJPG")
+    webcam = V4l2Pictures("usb:1-2", CameraMode(640, 480, 30.0, False), {}, what="webcam")
+    webcam.open()
+    monkeypatch.setattr("rcs.hardware.v4l2_pictures.usb_devices", lambda: [replace(PLACE, serial="B2")])
+    with pytest.raises(DeviceFault, match=r"another camera answers at usb:1-2: .*'B2', not 'A1'"):
+        webcam.open()

@@ -72,11 +72,17 @@ class V4l2Pictures:
 
         Raises:
             InvalidSetup: It is not plugged in, does not offer the mode, or lacks a control.
-            DeviceFault: It cannot be opened; the message names who holds it, or what permits it.
+            DeviceFault: It cannot be opened, and the message names who holds it, or what permits it; or it is another
+                one than before.
         """
         self.close()
         cv2 = package_of("webcam", "cv2", "A camera on a USB port needs")
         device = self._device()
+        if self.serial and device.serial != self.serial:
+            raise DeviceFault(
+                f"another camera answers at {self._address}: its serial number is {device.serial!r}, not "
+                f"{self.serial!r}"
+            )
         self.serial = device.serial
         path = f"/dev/{next(node for node in device.nodes if node.startswith('video'))}"
         self._prepare(path)
