@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from rcs.devices import CameraMode
-from rcs.errors import DeviceFault, InvalidSetup
+from rcs.errors import DeviceFault, InvalidSetup, MissingDependency
 from rcs.hardware import v4l2
 from rcs.hardware.usb import UsbDevice
 from rcs.hardware.v4l2_pictures import MOST_WAITING, V4l2Pictures
@@ -165,3 +166,11 @@ def test_another_camera_at_the_same_place_is_refused(offered: Any, monkeypatch: 
     monkeypatch.setattr("rcs.hardware.v4l2_pictures.usb_devices", lambda: [replace(PLACE, serial="B2")])
     with pytest.raises(DeviceFault, match=r"another camera answers at usb:1-2: .*'B2', not 'A1'"):
         webcam.open()
+
+
+@pytest.mark.parametrize("what", ["webcam", "DIGIT"])
+def test_without_opencv_the_extra_of_the_camera_is_named(monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    camera = V4l2Pictures("A1", CameraMode(640, 480, 30.0, False), {}, what=what)
+    with pytest.raises(MissingDependency, match=rf"robot-control-stack\[{what.lower()}\]"):
+        camera.open()

@@ -45,7 +45,7 @@ class V4l2Pictures:
             address: Serial number, or `usb:` and a place such as `usb:1-2.3`.
             mode: Size and rate.
             controls: Values of `rcs.hardware.v4l2.CONTROLS`.
-            what: Kind of camera in messages.
+            what: Kind of camera, "webcam" or "DIGIT", in messages; in small letters, the extra that it needs.
             latency: Time from a picture to its time stamp by the kernel [s].
             mjpeg: Whether the camera compresses its pictures.
             model: Product name that it must have; empty for any.
@@ -76,7 +76,7 @@ class V4l2Pictures:
                 one than before.
         """
         self.close()
-        cv2 = package_of("webcam", "cv2", "A camera on a USB port needs")
+        cv2 = package_of(self._what.lower(), "cv2", "A camera on a USB port needs")
         device = self._device()
         if self.serial and device.serial != self.serial:
             raise DeviceFault(
