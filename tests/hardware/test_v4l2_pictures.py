@@ -155,8 +155,9 @@ def test_a_camera_that_is_faster_than_asked_gives_pictures(offered: Any, monkeyp
     capture.grab, capture.retrieve = lambda: True, lambda: (True, np.zeros((1, 4), np.uint8))
     webcam = pictures(fps=15.0)
     webcam.open()
-    assert webcam.newest().number == MOST_WAITING
-    assert webcam.newest().number == 2 * MOST_WAITING + 1
+    first = webcam.newest().number
+    assert 0 <= first <= MOST_WAITING
+    assert first < webcam.newest().number <= first + MOST_WAITING + 1
 
 
 def test_another_camera_at_the_same_place_is_refused(offered: Any, monkeypatch: pytest.MonkeyPatch) -> None:
