@@ -134,7 +134,7 @@ def test_what_a_control_does_not_take_is_refused_with_what_it_does(d435: Library
         ({"exposure": 2}, "exposure of RealSense 1 is 2; valid is 0.0001 to 1"),
         ({"gain": 129}, "valid is 0 to 128"),
         ({"power_line_frequency": 55}, "55; valid is 0 .off., 50 or 60 Hz"),
-        ({"white_balance": 4000}, "no control 'white_balance'"),
+        ({"white_balance": 4000}, "'white_balance'; it has exposure, gain, power_line_frequency, emitter"),
     ):
         with pytest.raises(InvalidSetup, match=words):
             camera(**options).open()
@@ -209,3 +209,18 @@ def test_an_emitter_that_stays_off_is_a_fault(d435: Library, stereo: Sensor, mon
     monkeypatch.setattr(stereo, "set_option", lambda option, value: stereo.values.update({option: 0.0}))
     with pytest.raises(DeviceFault, match="keeps emitter at 0 when it is set to 1"):
         camera(emitter=True).open()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"exposure": "fast"}, "exposure is 'fast'; valid is a number"),
+        ({"gain": None}, "gain is None; valid is a number"),
+        ({"exposure": True}, "exposure is True; valid is a number"),
+        ({"gain": float("nan")}, "gain is nan; valid is a number"),
+        ({"emitter": "off"}, "emitter is 'off'; valid is true or false"),
+    ],
+)
+def test_a_control_that_is_no_number_is_refused_before_opening(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(InvalidSetup, match=words):
+        camera(**options)

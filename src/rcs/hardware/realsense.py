@@ -59,6 +59,11 @@ class Realsense(Camera):
         Raises:
             InvalidSetup: An option is not valid.
         """
+        for name in CONTROLS:
+            value, is_switch = options.get(name, 0), name == "emitter"
+            is_number = isinstance(value, int | float) and math.isfinite(value)
+            if not is_number or (isinstance(value, bool) and not is_switch):
+                raise InvalidSetup(f"{name} is {value!r}; valid is {'true or false' if is_switch else 'a number'}.")
         self._warm_up = seconds("warm_up", options.get("warm_up", 0.0), LONGEST_WARM_UP)
         self._latency = seconds("latency", options.get("latency", 0.0), 1.0)
         super().__init__(f"RealSense {address}", mode)
@@ -254,7 +259,9 @@ class Realsense(Camera):
             if name not in given:
                 continue
             if not sensors:
-                raise InvalidSetup(f"{self.name} has no control {name!r}.")
+                every = self._device.query_sensors()
+                there = [one for one in CONTROLS if any(sensor.supports(ids[one]) for sensor in every)]
+                raise InvalidSetup(f"{self.name} has no control {name!r}; it has {', '.join(there) or 'none'}.")
             scale = 1.0
             if name == "exposure":  # counted in µs by a depth sensor, in 100 µs by others: librealsense #8243, #12006
                 scale = 1e6 if sensors[0].is_depth_sensor() else 1e4
