@@ -1,7 +1,8 @@
-"""Modes, controls and resets of RealSense cameras, over a fake of the vendor's library whose pipeline never starts."""
+"""Modes, controls, resets and times of RealSense cameras, over a fake of the library whose pipeline never starts."""
 
 from __future__ import annotations
 
+import time
 from types import SimpleNamespace
 from typing import Any
 
@@ -224,3 +225,18 @@ def test_an_emitter_that_stays_off_is_a_fault(d435: Library, stereo: Sensor, mon
 def test_a_control_that_is_no_number_is_refused_before_opening(options: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidSetup, match=words):
         camera(**options)
+
+
+def test_a_picture_after_the_hosts_clock_was_set_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    real, step = time.time, [0.0]
+    monkeypatch.setattr("rcs.hardware.realsense.time.time", lambda: real() + step[0])
+    rs = SimpleNamespace(timestamp_domain=Names())
+    begin, at = time.monotonic(), real()
+    frame = SimpleNamespace(get_timestamp=lambda: 1e3 * at, get_frame_timestamp_domain=lambda: "global_time")
+    one: Any = camera()
+    for _ in range(2):
+        taken, _ = one._host_time(rs, frame, time.monotonic())
+        assert taken == pytest.approx(begin, abs=0.1)
+    step[0] = 1.0
+    with pytest.raises(DeviceFault, match=r"this machine's clock was set by 1\.000 s"):
+        one._host_time(rs, frame, time.monotonic())

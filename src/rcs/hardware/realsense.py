@@ -33,6 +33,8 @@ READ_LIMIT = 1.0
 """Longest wait for a picture [s]."""
 RESET_AFTER = 4
 """Number of failures in a row after which the camera's hardware is reset."""
+CLOCK_STEP = 0.02
+"""Change of the wall clock against the monotonic one from which it was set [s]; NTP slews both."""
 RAW_BITS = 16
 """Bits per pixel of colours (YUYV) and of depth on the bus."""
 RULES = "https://github.com/realsenseai/librealsense/blob/master/config/99-realsense-libusb.rules"
@@ -75,6 +77,7 @@ class Realsense(Camera):
         self._millimetres = 1.0
         self._known_calibration: CameraCalibration | None = None
         self._clock = DeviceClock(self._latency)
+        self._ahead = math.nan  # of the wall clock, at the picture before
         self._failures = 0
         self._is_new = False  # opened, and not read yet
         self._told: dict[str, Any] = {}
@@ -138,7 +141,7 @@ class Realsense(Camera):
         names = {"model": "name", "firmware": "firmware_version", "usb": "usb_type_descriptor"}
         fields = {told: getattr(rs.camera_info, name) for told, name in names.items()}
         self._told = {told: device.get_info(field) for told, field in fields.items() if device.supports(field)}
-        self._clock = DeviceClock(self._latency)
+        self._clock, self._ahead = DeviceClock(self._latency), math.nan
         begin, count = time.monotonic(), 0
         while (since := time.monotonic() - begin) < self._warm_up or count < 3 or (count < 10 and since < 0.5):
             self._host_time(rs, self._frames(rs).get_color_frame(), time.monotonic())
@@ -205,7 +208,12 @@ class Realsense(Camera):
         """Return when a picture was taken, on the host's clock and on the camera's [s]."""
         at = 1e-3 * frame.get_timestamp()
         if frame.get_frame_timestamp_domain() == rs.timestamp_domain.global_time:  # mapped to Unix time by the library
-            taken = at - time.time() + time.monotonic()
+            before, self._ahead = self._ahead, _wall_ahead()
+            if abs(self._ahead - before) > CLOCK_STEP:  # the library follows only in some seconds
+                raise DeviceFault(
+                    f"this machine's clock was set by {self._ahead - before:.3f} s; pictures have no time"
+                )
+            taken = at - self._ahead
             if not -0.1 < arrived - taken < 2.0:
                 raise DeviceFault(f"the library dates a picture by {arrived - taken:.3f} s; has the clock been set?")
             return min(taken, arrived), at
@@ -281,6 +289,11 @@ class Realsense(Camera):
 
 def _library() -> Any:
     return package_of("realsense", "pyrealsense2", "A RealSense needs")
+
+
+def _wall_ahead() -> float:
+    """Return by how much the wall clock is ahead of the monotonic one [s]; a pause between both would make it less."""
+    return max(time.time() - time.monotonic() for _ in range(3))
 
 
 def _place(rs: Any, device: Any) -> UsbDevice | None:
