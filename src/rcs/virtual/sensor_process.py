@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import random
-import select
 import signal
 import sys
 import threading
@@ -237,14 +236,20 @@ def main(read: Callable[[], str], say: Callable[[Mapping[str, Any]], None]) -> N
     server = serve(eyes)
     tactile = {skin.name: skin.sensor.name for skin in eyes.parts.tactile}
     say({"port": server.server_port, "cameras": [one.name for one in eyes.parts.cameras], "tactile": tactile})
-    while True:
-        if select.select([sys.stdin], [], [], 0)[0]:
-            line = read()
-            if not line:
-                return
-            told = json.loads(line)
-            eyes.sensors[told["sensor"]].tell(told["fault"], told["value"])
-            say({"done": True})
+    has_ended = threading.Event()
+
+    def listen() -> None:
+        """Apply faults as they come: the loop of the world waits for the answer, and must not wait for a drawing."""
+        try:
+            while line := read():
+                told = json.loads(line)
+                eyes.sensors[told["sensor"]].tell(told["fault"], told["value"])
+                say({"done": True})
+        finally:
+            has_ended.set()
+
+    threading.Thread(target=listen, name="faults", daemon=True).start()
+    while not has_ended.is_set():
         eyes.draw()
 
 
