@@ -153,6 +153,18 @@ def test_all_motors_are_off_after_a_hand_with_an_overloaded_finger_is_closed(
         hand.recover()
 
 
+def test_a_hand_without_power_is_closed_in_time(served: VirtualProcess) -> None:
+    with made(served) as hand:
+        arrive(hand, np.full(16, 0.3))
+        for finger in ("thumb", "index", "middle", "ring"):
+            served.tell("hand/missing", finger)
+        with pytest.raises(DeviceFault, match="no answer from the motors"):
+            look(hand)
+        begin = time.monotonic()
+        hand.close()
+        assert time.monotonic() - begin < 2.5
+
+
 def test_fingers_that_stand_still_keep_their_goal_in_a_hold(served: VirtualProcess) -> None:
     """On an object, a finger stands still away from its goal, and would drop the object without one."""
     with made(served) as hand:

@@ -331,7 +331,8 @@ class TilburgHand(Hand):
         failures: list[str] = []
         for name, motor, value in zip(self._joints, self._motors, values, strict=True):
             result, error = 1, 0
-            for _ in range(TRIES):  # to write it twice does no harm
+            # To write it twice does no harm; after a motor that does not answer, too much time would pass.
+            for _ in range(1 if failures else TRIES):
                 self._begin()
                 result, error = write(port, motor, register, value)
                 error &= ~ALERT
