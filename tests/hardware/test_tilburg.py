@@ -165,6 +165,17 @@ def test_a_hand_without_power_is_closed_in_time(served: VirtualProcess) -> None:
         assert time.monotonic() - begin < 2.5
 
 
+def test_a_hand_that_may_still_be_powered_is_told(served: VirtualProcess, caplog: pytest.LogCaptureFixture) -> None:
+    with made(served) as hand:
+        arrive(hand, np.full(16, 0.3))
+        served.tell("cut")
+        with pytest.raises(DeviceFault):
+            look(hand)
+        with pytest.raises(DeviceFault, match="recover failed"):
+            hand.recover()
+    assert "may still be powered: the hand is not connected" in caplog.text
+
+
 def test_fingers_that_stand_still_keep_their_goal_in_a_hold(served: VirtualProcess) -> None:
     """On an object, a finger stands still away from its goal, and would drop the object without one."""
     with made(served) as hand:

@@ -170,7 +170,7 @@ class TilburgHand(Hand):
     def _close(self) -> None:
         with self._bus:
             try:
-                if self._library is not None and self._is_powered and self._releases:
+                if self._is_powered and self._releases:
                     self._write_each(TORQUE, 1, [0] * len(self._motors))
                     self._is_powered = False
             except DeviceFault as err:  # the link is lost
