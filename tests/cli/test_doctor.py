@@ -306,3 +306,11 @@ def test_a_name_without_an_address_is_a_fault_and_that_of_a_host_is_resolved(mon
     (found,) = examine_network("arm.lab", "franka", packets=5)
     assert (found.part, found.status) == ("network arm.lab", "fault")
     assert "Name or service not known" in found.message and "IP address" in found.remedy
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf"])
+def test_a_time_in_which_nothing_can_be_read_is_refused(
+    site: Path, seconds: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert ended(["doctor", "--site", str(site), f"--seconds={seconds}"]) == 1
+    assert "valid is a finite number, at least 0.5" in " ".join(capsys.readouterr().err.split())

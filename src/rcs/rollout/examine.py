@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Sequence
@@ -24,6 +25,8 @@ from rcs.setups.resolve import devices_of, resolve, with_camera_names
 
 READING = 10.0
 """How long a device is read [s]."""
+LEAST_READING = 0.5
+"""Shortest time for which a device is read [s]."""
 LIMIT = 20.0
 """Time beyond that after which a device counts as one whose driver does not return [s]."""
 RATE = 30
@@ -60,9 +63,11 @@ def examine(site: Site, setup: Setup, *, seconds: float = READING, packets: int 
         packets: Number of packets to each address.
 
     Raises:
-        InvalidSetup: The setup is not valid.
-        UnknownName: A name in it does not exist.
+        InvalidSetup: The setup or `seconds` is not valid.
+        UnknownName: A name in the setup does not exist.
     """
+    if not LEAST_READING <= seconds < math.inf:
+        raise InvalidSetup(f"seconds is {seconds!r}; valid is a finite number, at least {LEAST_READING:g}.")
     setup = with_camera_names(setup)
     resolve(setup)
     found = examine_machine()
@@ -171,7 +176,7 @@ def _watch(name: str, device: Any, seconds: float, stale_after: float) -> list[F
     while time.monotonic() - begin < min(SETTLING, 0.5 * seconds):  # its threads are starting
         _ = device.read() if isinstance(device, Camera) else device.state()
         time.sleep(0.002)
-    while time.monotonic() - begin < seconds:
+    while not calls or time.monotonic() - begin < seconds:
         called = time.monotonic()
         last = device.read() if isinstance(device, Camera) else device.state()
         calls.append(time.monotonic() - called)
