@@ -314,3 +314,12 @@ def test_a_time_in_which_nothing_can_be_read_is_refused(
 ) -> None:
     assert ended(["doctor", "--site", str(site), f"--seconds={seconds}"]) == 1
     assert "valid is a finite number, at least 0.5" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_page_that_cannot_be_written_is_refused_before_anything_is_examined(
+    site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    begin = time.monotonic()
+    assert ended(["doctor", "--site", str(site), "--seconds", "30", "--page", str(site.parent)]) == 1
+    assert time.monotonic() - begin < 20.0
+    assert "is a folder" in " ".join(capsys.readouterr().err.split())

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rcs_data.cli.console import plain_console
+from rcs_data.files.output import require_writable
 from rich.table import Table
 
 from rcs._core import probe_gl
@@ -66,6 +67,8 @@ class DoctorCommand:
 
         if self.move and not self.yes and not sys.stdin.isatty():
             raise InvalidSetup("The input is no terminal, so nobody can be asked; give --yes where somebody watches.")
+        if self.page is not None:
+            require_writable(self.page, is_file=True)
         site = read_site(path)
         if self.setup is None:
             setup = setup_for(self.robot or robot_of(site), self.end_effector)
