@@ -116,8 +116,8 @@ def test_a_camera_that_does_not_start_is_a_fault_that_names_its_holder(
     offered: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     capture_of(monkeypatch, "MJPG").is_open = False
-    monkeypatch.setattr(v4l2, "holders", lambda path: ["cheese (process 7)"])
-    with pytest.raises(DeviceFault, match=r"does not start in .* It is held by cheese \(process 7\)"):
+    monkeypatch.setattr(v4l2, "holders", lambda path: ["process 7 (cheese)"])
+    with pytest.raises(DeviceFault, match=r"does not start in .* It is held by process 7 \(cheese\)"):
         pictures().open()
 
 
@@ -125,7 +125,7 @@ def test_a_camera_that_does_not_start_is_a_fault_that_names_its_holder(
     ("number", "words"),
     [
         (errno.EACCES, "Permission denied; add yourself to its group: sudo usermod -aG video"),
-        (errno.EBUSY, r"busy; it is held by cheese \(process 7\)"),
+        (errno.EBUSY, r"busy; it is held by process 7 \(cheese\)"),
         (errno.ENODEV, "No such device; check its cable"),
     ],
 )
@@ -137,7 +137,7 @@ def test_why_a_file_cannot_be_opened_decides_on_the_remedy(
 
     capture_of(monkeypatch, "MJPG")
     monkeypatch.setattr("rcs.hardware.v4l2_pictures.os.open", refuse)
-    monkeypatch.setattr(v4l2, "holders", lambda path: ["cheese (process 7)"])
+    monkeypatch.setattr(v4l2, "holders", lambda path: ["process 7 (cheese)"])
     with pytest.raises(DeviceFault, match=f"/dev/video7 cannot be opened: .*{words}"):
         pictures().open()
 

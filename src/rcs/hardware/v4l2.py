@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rcs.errors import DeviceFault, InvalidSetup
+from rcs.hardware.programs import program_of
 
 _QUERY, _GET, _SET = 0xC0445624, 0xC008561B, 0xC008561C
 _SIZES, _INTERVALS = 0xC02C564A, 0xC034564B
@@ -109,13 +110,12 @@ def set_controls(file: int, name: str, wanted: dict[str, Any]) -> None:
 
 
 def holders(path: str) -> list[str]:
-    """Return the programs that have a file open, with their numbers, as far as this user may see them."""
+    """Return the other programs that have a file open, as far as this user may see them."""
     found: list[str] = []
     for entry in Path("/proc").glob("[0-9]*/fd/*"):
         try:
             if os.readlink(entry) == path and int(entry.parts[2]) != os.getpid():
-                name = Path("/proc", entry.parts[2], "comm").read_text("utf-8", "replace").strip()
-                found.append(f"{name} (process {entry.parts[2]})")
+                found.append(program_of(entry.parts[2]))
         except OSError:  # another user's, or it has ended
             continue
     return sorted(set(found))
