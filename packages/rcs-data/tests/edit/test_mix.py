@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from rcs_data import Dataset, Feature, check, edit
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, check, edit
 from rcs_data.edit import Harmonise, Part, mix, parse_part
 from rcs_data.errors import DatasetError, InvalidSetup
 
@@ -101,6 +101,20 @@ def test_other_features_are_refused_with_what_differs_or_mapped(tmp_path: Path, 
         np.testing.assert_allclose(np.diff(joints, axis=0), episode.column("action/joints")[1:], atol=1e-12)
 
 
+def test_cameras_that_swap_their_names_swap_their_images(tmp_path: Path) -> None:
+    keys = [f"observation/frames/{name}/rgb" for name in ("front", "side")]
+    features = tuple(Feature(key=key, shape=(8, 8, 3), dtype="uint8", encoding="lossless") for key in keys)
+    info = DatasetInfo(frequency=10.0, features=features, setup={}, instruction="")
+    for name in ("a", "b"):
+        with DatasetWriter.open(tmp_path / name, info) as writer, writer.episode(name, seed=0) as episode:
+            episode.add({key: np.full((8, 8, 3), 10 * (n + 1), np.uint8) for n, key in enumerate(keys)})
+            episode.finish(None)
+    how = Harmonise(rename={"b": {"front": "side", "side": "front"}})
+    mixed = mix([Part(path=tmp_path / "a"), Part(path=tmp_path / "b")], tmp_path / "mix", mapping=how)
+    assert [int(mixed[name].column(keys[0]).max()) for name in ("a", "b")] == [10, 20]
+    assert check(mixed.path).is_ok
+
+
 def test_relative_and_absolute_actions_do_not_mix(tmp_path: Path, make_dataset: MakeDataset, sim: Path) -> None:
     other = make_dataset(tmp_path / "absolute", [4], setup={"robot": "fr3", "relative": "absolute"})
     with pytest.raises(DatasetError, match=r"setup\.relative: actions are 'last_step' in sim and 'abs"):
@@ -130,8 +144,6 @@ def test_features_to_leave_out_that_are_not_there_are_named(tmp_path: Path, sim:
 def test_codes_with_other_words_do_not_mix(tmp_path: Path, make_dataset: MakeDataset, sim: Path) -> None:
     from dataclasses import replace
 
-    from rcs_data import DatasetWriter
-
     info = Dataset.open(sim).info
     for name, words in (("a", ("policy", "person")), ("b", ("page", "agent"))):
         note = Feature(key="notes/actor", shape=(), dtype="uint8", words=words)
@@ -146,8 +158,6 @@ def test_another_number_of_joints_is_refused(tmp_path: Path, make_dataset: MakeD
     info = Dataset.open(sim).info
     features = [replace(f, shape=(5,)) if f.key.endswith("joints") else f for f in info.features]
     other = tmp_path / "other"
-    from rcs_data import DatasetWriter
-
     DatasetWriter.open(other, replace(info, features=tuple(features))).close()
     with pytest.raises(DatasetError, match=r"(?s)observation/joints: sim has '\(2,\).*other has '\(5,\)"):
         mix([Part(path=sim), Part(path=other)], tmp_path / "mix", mapping=Harmonise(common=True))

@@ -107,10 +107,12 @@ def mix(
     after = dict(zip(names, infos, strict=True))
     with making(out, replace(infos[0], setup=setup, origin=origin)) as made:
         for name, episode, about in gathered([*zip(names, datasets, chosen, strict=True)], on_progress):
-            if _rows_stay(episode.info, after[name]):
+            rename = how.rename.get(name, {})
+            # Cameras that swap their names leave the features as they are.
+            if not rename and _rows_stay(episode.info, after[name]):
                 made.copy(episode, **about)
             else:
-                made.copy(episode, _mapped(episode, after[name], how.rename.get(name, {})), **about)
+                made.copy(episode, _mapped(episode, after[name], rename), **about)
     return Dataset(out)
 
 
