@@ -282,6 +282,28 @@ def test_an_open_episode_must_be_recovered_before_others_get_another_form(datase
     assert check(dataset).is_ok
 
 
+@pytest.mark.parametrize("change", ["resize", "undo"])
+def test_a_finished_episode_that_the_index_lacks_must_be_recovered_first(dataset: Path, change: str) -> None:
+    edit.resize(dataset, (12, 8))
+    with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
+        record(writer, "late", Dataset.open(dataset).episodes[0])
+    index = dataset / "episodes.jsonl"
+    index.write_bytes(b"".join(index.read_bytes().splitlines(keepends=True)[:-1]))  # as a full disk leaves it
+    with pytest.raises(DatasetError, match=r"'late'.* run recover first"):
+        edit.undo(dataset) if change == "undo" else edit.resize(dataset, (6, 4))
+    assert recover(dataset).published == ("late",)
+    assert check(dataset).is_ok
+
+
+def test_an_edit_can_be_undone_in_a_copy_without_empty_folders(dataset: Path) -> None:
+    before = state(dataset)
+    edit.relabel(dataset, "push", episodes=["000001"])
+    for name in ("former", "open"):
+        (dataset / name).rmdir()
+    edit.undo(dataset)
+    assert state(dataset) == before
+
+
 def test_a_reader_that_opened_the_dataset_before_can_go_on(dataset: Path) -> None:
     opened = Dataset.open(dataset)
     edit.delete(dataset, ["000001"])

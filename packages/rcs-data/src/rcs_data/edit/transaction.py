@@ -24,8 +24,10 @@ from rcs_data.files.output import new_output
 from rcs_data.index import history
 from rcs_data.index.entry import Entry
 from rcs_data.index.history import Draft, Edit, locked
+from rcs_data.index.index import Index
 from rcs_data.read.reader import Dataset, EpisodeRecord
 from rcs_data.record.copies import rewrite
+from rcs_data.record.recover import unlisted
 from rcs_data.record.writer import DatasetWriter
 
 
@@ -90,14 +92,14 @@ def editing(
 
     Raises:
         DatasetError: There is no dataset, another process writes to it, the info changes while an episode of a killed
-            recording is still open, or the disk fails. An error leaves the dataset unchanged.
+            recording is still open or not in the index, or the disk fails. An error leaves the dataset unchanged.
         CorruptEpisode: The dataset is damaged.
     """
     root = Path(path)
     with locked(root) as index, disk_errors(command, root):
         info = new_info(index.info)
-        if info != index.info:  # the rows of open episodes have the former form
-            _refuse_open(root)
+        if info != index.info:
+            _refuse_open(index)
         draft = Draft(index)
         try:
             transaction = Transaction(info, draft)
@@ -130,12 +132,13 @@ def undo(path: str | Path) -> Edit:
 
     Raises:
         DatasetError: There is nothing to undo, the former episodes are gone, episodes came or went since, an episode of
-            a killed recording is still open, or another process writes to the dataset; nothing changes.
+            a killed recording is still open or not in the index, or another process writes to the dataset; nothing
+            changes.
         CorruptEpisode: The dataset is damaged.
     """
     root = Path(path)
     with locked(root) as index, disk_errors("undo", root):
-        _refuse_open(root)
+        _refuse_open(index)
         return history.undo(index)
 
 
@@ -163,10 +166,12 @@ def prune(path: str | Path) -> int:
     return freed
 
 
-def _refuse_open(root: Path) -> None:
-    if still_open := folder_names(root, OPEN_FOLDER):
+def _refuse_open(index: Index) -> None:
+    """Refuse if recover would add an episode, whose rows have the former form: an open one, or one without its line."""
+    left = [*folder_names(index.root, OPEN_FOLDER), *(folder.name for folder in unlisted(index))]
+    if left:
         raise DatasetError(
-            f"Episodes {still_open} of {root} were left open by a recording; run recover first, or `check --repair` "
+            f"Episodes {left} of {index.root} were left open by a recording; run recover first, or `check --repair` "
             "for those that it leaves alone."
         )
 

@@ -240,7 +240,7 @@ def undo(index: Index) -> Edit:
             f"Episodes came to {root}, or went, since {edit.command!r}, which undo would lose. Split them off first "
             "(`rcs-data split`), or delete what you do not want."
         )
-    there = {*os.listdir(root / EPISODES_FOLDER), *os.listdir(root / FORMER_FOLDER)}
+    there = {*folder_names(root), *folder_names(root, FORMER_FOLDER)}
     if gone := [name for name, entry in entries.items() if entry.folder not in there]:
         raise DatasetError(
             f"Cannot undo {edit.command!r}: episodes {', '.join(gone[:5])} of {root} are in quarantine, or removed."
