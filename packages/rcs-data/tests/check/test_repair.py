@@ -64,6 +64,15 @@ def test_the_description_is_made_anew_from_the_index(dataset: Path, how: str) ->
     assert not check(dataset).findings
 
 
+def test_a_folder_that_is_named_like_an_address_is_a_folder(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset.rename(tmp_path / "run:1")
+    monkeypatch.chdir(tmp_path)
+    assert check("run:1").is_ok
+    assert repair("run:1").mendings == ()
+
+
 def test_the_index_is_made_anew_from_the_episodes(dataset: Path) -> None:
     before = {episode.id: episode.entry for episode in Dataset.open(dataset)}
     (dataset / INDEX).unlink()

@@ -180,6 +180,14 @@ def test_a_folder_of_other_things_is_left_alone(copy: Path, tmp_path: Path) -> N
     assert check(copy).is_ok
 
 
+def test_the_folder_of_a_page_may_be_named_like_an_address(
+    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert counts(write_view(copy, "12:30")) == (3, 0)
+    assert len(list((tmp_path / "12:30/clips").rglob("*.mp4"))) == 9
+
+
 def test_names_of_clips_differ_where_features_do() -> None:
     keys = ["observation/frames/a b/rgb", "observation/frames/a-b/rgb", "observation/frames/a/b/rgb", "frames/日本/rgb"]
     names = [clip_name(Feature(key=key, shape=(8, 8, 3), dtype="uint8", encoding="jpeg")) for key in keys]

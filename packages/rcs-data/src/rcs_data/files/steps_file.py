@@ -135,7 +135,8 @@ def _opened(path: Path, info: DatasetInfo, length: int, *, mapped: bool) -> Gene
         raise CorruptEpisode(f"Cannot read {path}: it is missing or not a file.")
     try:
         # Not `read_table`, which takes a folder named "seed=3" for a partition and adds a column.
-        with pq.ParquetFile(path, memory_map=mapped) as file:
+        # Absolute: Arrow takes a relative path such as "run:1/steps.parquet" for an address.
+        with pq.ParquetFile(path.absolute(), memory_map=mapped) as file:
             if file.metadata.num_rows != length:
                 raise CorruptEpisode(f"{path} has {file.metadata.num_rows} rows; expected {length}.")
             if file.schema_arrow.names != info.steps_schema.names:

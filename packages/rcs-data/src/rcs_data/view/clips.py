@@ -87,7 +87,8 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
     settings = {**fixed, "crf": str(options.quality), "g": str(options.whole_frame_every)}
     rate = Fraction(episode.info.frequency).limit_denominator(1000)
     rows, columns = _size(feature, options.height)
-    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
+    address = str(path.absolute())  # FFmpeg takes a relative "12:30/…" for one of the network
+    with av.open(address, "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream: Any = container.add_stream(encoder, rate=rate, options=settings)
         stream.width, stream.height, stream.pix_fmt = columns, rows, "yuv420p"
         stream.thread_count = 1  # several clips are made at the same time

@@ -118,6 +118,15 @@ def test_two_robots_and_no_cameras_come_back(make_dataset: Any, tmp_path: Path) 
     assert [episode.success for episode in back.episodes] == [None, None, None]
 
 
+@pytest.mark.parametrize("name", ["run:1", "12:30"])
+def test_a_folder_that_is_named_like_an_address_is_imported(
+    source: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    export_lerobot(source, tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    assert len(import_lerobot(name, "back")) == len(source)
+
+
 def test_images_can_stay_without_more_loss(source: Dataset, tmp_path: Path) -> None:
     export_lerobot(source, tmp_path / "lerobot")
     back = import_lerobot(tmp_path / "lerobot", tmp_path / "back", ImportOptions(lossless=True))

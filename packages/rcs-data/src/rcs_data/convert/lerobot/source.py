@@ -282,7 +282,7 @@ def _opened(path: Path) -> Generator[pq.ParquetFile]:
         raise CorruptEpisode(f"Cannot read {path}: it is missing or not a file.")
     refuse_pointer(path)
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path.absolute()) as file:  # Arrow takes a relative "run:1/…" for an address
             yield file
     except DatasetError:
         raise

@@ -203,7 +203,7 @@ class VideoReader:
         if not path.is_file():  # reading a pipe would never end
             raise CorruptEpisode(f"{path} is missing or not a video.")
         try:
-            self._source = av.open(str(path))
+            self._source = av.open(str(path.absolute()))  # FFmpeg takes a relative "12:30/…" for an address
             self._stream = self._source.streams.video[0]
         except (FFmpegError, IndexError) as err:
             raise CorruptEpisode(f"{path} is missing or not a video: {err}.") from err
