@@ -181,6 +181,35 @@ def test_ids_that_look_like_folders_of_edits_are_refused(dataset: Path) -> None:
         record(writer, "take@one", Dataset.open(dataset).episodes[0])
 
 
+def test_former_episodes_of_the_longest_ids_are_no_garbage(dataset: Path) -> None:
+    name, before = "x" * 200, state(dataset)
+    with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
+        with pytest.raises(InvalidSetup, match="1 to 200 bytes"):
+            writer.episode(name + "x", seed=0)
+        record(writer, name, Dataset.open(dataset).episodes[0])
+    recorded = state(dataset)
+    for _ in range(11):
+        edit.trim(dataset, name)
+    assert {finding.kind for finding in check(dataset).findings}.isdisjoint({"stranger", "left_over", "missing"})
+    recover(dataset)
+    for _ in range(11):
+        edit.undo(dataset)
+    assert state(dataset) == recorded != before
+    edit.delete(dataset, [name])
+    with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
+        record(writer, name, Dataset.open(dataset).episodes[0])
+    assert check(dataset).is_ok
+    assert edit.prune(dataset) > 0
+    assert len(Dataset.open(dataset)) == 5
+
+
+def test_digits_of_other_scripts_are_no_number_of_an_edit(dataset: Path) -> None:
+    with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
+        record(writer, "a@\N{ARABIC-INDIC DIGIT THREE}", Dataset.open(dataset).episodes[0])
+    edit.trim(dataset, "000000", first=1)
+    assert [line.number for line in Dataset.open(dataset).history] == [1]
+
+
 def test_undo_waits_for_what_a_killed_recording_left_open(dataset: Path) -> None:
     edit.delete(dataset, ["000001"])
     leave_open(dataset, "000001")

@@ -41,20 +41,20 @@ QUARANTINE_FOLDER = "quarantine"
 """Damaged files that a repair put aside, unchanged; nothing reads them."""
 FOLDERS = (EPISODES_FOLDER, OPEN_FOLDER, FORMER_FOLDER, HISTORY_FOLDER, QUARANTINE_FOLDER, TRASH_FOLDER)
 
-_LONGEST_NAME = 200
+_LONGEST_NAME, _LONGEST_FOLDER = 200, 240  # of an episode, a folder's name may have a number after the id
 _WRITTEN, _AGAIN = "@", "+"
 _REMOVED = ".removed"
 _OF_ANOTHER = re.compile(r".*[@+][0-9]+")
 
 
-def is_name(text: str) -> bool:
-    """Return whether a text can name a file or folder without leading elsewhere."""
+def is_name(text: str, longest: int = _LONGEST_NAME) -> bool:
+    """Return whether a text, of so many bytes at most, can name a file or folder without leading elsewhere."""
     return (
         bool(text)
         and text.isprintable()  # which half a surrogate pair is not
         and not {"/", "\\"} & set(text)
         and text[0] != "."
-        and len(text.encode()) <= _LONGEST_NAME
+        and len(text.encode()) <= longest
     )
 
 
@@ -179,23 +179,23 @@ def written_folder(episode_id: str, number: int) -> str:
 def edit_number(folder: str) -> int:
     """Return the number of the edit that wrote a folder, given its name; 0 if no edit did."""
     _, mark, number = folder.rpartition(_WRITTEN)
-    return int(number) if mark and number.isdecimal() else 0
+    return int(number) if mark and number.isascii() and number.isdecimal() else 0
 
 
 def folder_names(root: Path, folder: str = EPISODES_FOLDER) -> list[str]:
     """Return the sorted names of the folders of episodes, complete, open or former ones, whether listed or not."""
-    return sorted(name for name in _names(root / folder) if is_name(name))
+    return sorted(name for name in _names(root / folder) if _is_folder(name))
 
 
 def strange_names(root: Path) -> list[str]:
     """Return entries beside the episodes whose names cannot be episodes; nothing reads them."""
-    return sorted(name for name in _names(root / EPISODES_FOLDER) if not is_name(name))
+    return sorted(name for name in _names(root / EPISODES_FOLDER) if not _is_folder(name))
 
 
 def trash(root: Path) -> list[Path]:
     """Return the remains of what was removed or was not completed; nothing reads them."""
     drafts = [root / DRAFT_FOLDER] if (root / DRAFT_FOLDER).exists() else []
-    pruned = [root / FORMER_FOLDER / name for name in _names(root / FORMER_FOLDER) if not is_name(name)]
+    pruned = [root / FORMER_FOLDER / name for name in _names(root / FORMER_FOLDER) if not _is_folder(name)]
     thrown = [root / TRASH_FOLDER / name for name in _names(root / TRASH_FOLDER) if not name.endswith(_REMOVED)]
     return [*drafts, *pruned, *thrown]
 
@@ -208,7 +208,11 @@ def removal_mark(root: Path, name: str) -> Path:
 def removals(root: Path) -> dict[Path, Path]:
     """Return the marks of removals that a kill cut short, each with the folder that is to go unless it is listed."""
     names = [name.removesuffix(_REMOVED) for name in _names(root / TRASH_FOLDER) if name.endswith(_REMOVED)]
-    return {removal_mark(root, name): episode_folder(root, name) for name in names if is_name(name)}
+    return {removal_mark(root, name): episode_folder(root, name) for name in names if _is_folder(name)}
+
+
+def _is_folder(name: str) -> bool:
+    return is_name(name, _LONGEST_FOLDER)
 
 
 def _names(folder: Path) -> list[str]:
