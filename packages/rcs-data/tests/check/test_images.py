@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from rcs_data import check
+from rcs_data import DatasetInfo, DatasetWriter, Feature, check
 from rcs_data.check.report import Finding
 from rcs_data.files.flags import FrameFlag
 
@@ -95,3 +95,18 @@ def test_the_touch_of_nothing_is_not_frozen(tmp_path: Path, moving: MakeMoving) 
     (finding,) = found(moving(tmp_path / "beside", touch_nothing, setup=setup))
     assert finding.kind == "frozen"
     assert [finding.kind for finding in found(moving(tmp_path / "camera", touch_nothing))] == ["frozen"]
+
+
+@pytest.mark.parametrize("shape", [(), (2, 2)])
+def test_joints_of_any_shape_are_checked(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    features = (
+        Feature(key="observation/joints", shape=shape, dtype="float64"),
+        Feature(key=RGB, shape=(8, 12, 3), dtype="uint8", encoding="jpeg"),
+    )
+    info = DatasetInfo(frequency=30.0, features=features, setup={}, instruction="move")
+    with DatasetWriter.open(tmp_path, info) as writer, writer.episode("a", seed=0) as episode:
+        for row in range(4):
+            image = np.full((8, 12, 3), 40 * row + 20, np.uint8)
+            episode.add({"observation/joints": np.full(shape, row / 10)[()], RGB: image})
+        episode.finish(True)
+    assert found(tmp_path) == []

@@ -37,7 +37,8 @@ def check_images(place: EpisodePlace, rows: EpisodeRows) -> Iterator[Finding]:
 
 
 def _frozen(place: EpisodePlace, rows: EpisodeRows, camera: str, keys: list[str]) -> Iterator[Finding]:
-    joints = [column for key in rows.joints if (column := rows.column(key)) is not None]
+    columns = (rows.column(key) for key in rows.joints)
+    joints = [column.reshape(rows.length, -1) for column in columns if column is not None]
     if not joints:
         return  # motion is unknown
     for key in keys:
