@@ -27,6 +27,24 @@ def test_renaming_a_camera_there_and_back_changes_no_bit(dataset: Path) -> None:
     assert Dataset.open(dataset).digest() == before.digest()
 
 
+def test_the_clock_of_a_camera_is_renamed_with_it(tmp_path: Path) -> None:
+    times = ("time/monotonic", "time/frames/wrist", "time/device/frames/wrist")
+    features = (
+        Feature(key=RGB, shape=(16, 24, 3), dtype="uint8", encoding="lossless"),
+        *(Feature(key=key, shape=(), dtype="float64", unit="s") for key in times),
+    )
+    info = DatasetInfo(frequency=30.0, features=features, setup={}, instruction="")
+    with DatasetWriter.open(tmp_path / "set", info) as writer, writer.episode("a", seed=0) as episode:
+        for row in range(3):
+            episode.add({RGB: np.full((16, 24, 3), row, np.uint8), **dict.fromkeys(times, 5 + row / 30)})
+        clock = episode.finish(None).timing["devices"]["frames/wrist"]["clock"]
+    assert clock is not None
+    edit.rename_camera(tmp_path / "set", "wrist", "hand")
+    after = Dataset.open(tmp_path / "set")
+    assert not [f.key for f in after.info.features if "wrist" in f.key]
+    assert after["a"].timing["devices"]["frames/hand"]["clock"] == clock
+
+
 @pytest.mark.parametrize(("name", "to"), [("side", "front"), ("wrist", ""), ("wrist", "a//b")])
 def test_a_name_that_cannot_be_is_refused(dataset: Path, name: str, to: str) -> None:
     with pytest.raises(InvalidSetup):

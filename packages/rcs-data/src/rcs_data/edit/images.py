@@ -23,7 +23,7 @@ from rcs_data.files.output import OnProgress
 from rcs_data.read.content import flat_numbers
 from rcs_data.read.scale import whole_size
 
-_SINGLE = ("time/frames/", "flags/frames/")
+_SINGLE = ("time/frames/", "time/device/frames/", "flags/frames/")
 
 
 def cameras_of(info: DatasetInfo) -> list[str]:
