@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, Windows
 from rcs_data.errors import CorruptEpisode, InvalidSetup
-from rcs_data.read.trajectory import state_layout, step_frames, trajectory
+from rcs_data.read.trajectory import action_layout, state_layout, step_frames, trajectory
 
 STEPS = (5, 0, 9, 1, 2)
 RGB, DEPTH = "observation/frames/wrist/rgb", "observation/frames/wrist/depth"
@@ -250,3 +250,11 @@ def test_what_is_unknown_at_the_reset_is_no_state(key: str) -> None:
     info = DatasetInfo(frequency=10.0, features=features, setup={}, instruction="")
     with pytest.raises(InvalidSetup, match="before the first step, it may have no value"):
         state_layout(info, ("observation/joints", key))
+
+
+def test_an_imported_vector_is_not_left_out_for_a_part_beside_it() -> None:
+    keys = ("observation/state", "observation/gripper", "action/action", "action/gripper")
+    features = tuple(Feature(key=key, shape=(2,), dtype="float32") for key in keys)
+    info = DatasetInfo(frequency=10.0, features=features, setup={}, instruction="")
+    assert [f.key for f in state_layout(info).features] == list(keys[:2])
+    assert [f.key for f in action_layout(info).features] == list(keys[2:])

@@ -23,6 +23,8 @@ OBSERVATION, ACTION, FRAMES = "observation", "action", "frames"
 # Joined in this order by default. Poses are left out, since they follow from the joints.
 _STATE_NAMES = ("joints", "gripper", "hand")
 _ACTION_NAMES = ("joints", "tquat", "xyzrpy", "twist", "gripper", "hand")
+# Imports make these of a vector without parts, beside which others may lie.
+_WHOLE = (f"{OBSERVATION}/state", f"{ACTION}/{ACTION}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,7 +179,8 @@ def _layout(info: DatasetInfo, prefix: str, names: tuple[str, ...], keys: Sequen
             f for robot in robots for name in names for f, words in parts.items()
             if "/".join(words[1:-1]) == robot and words[-1] == name
         ]  # fmt: skip
-        chosen = chosen or list(parts)
+        if not chosen or any(f.key in _WHOLE for f in parts):
+            chosen = list(parts)
     elif isinstance(keys, str):
         raise InvalidSetup(f"{keys!r} is one text; valid is a sequence of features, such as ({keys!r},).")
     else:
