@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -260,6 +261,25 @@ def test_an_edit_that_fails_leaves_the_dataset_as_it_was(dataset: Path, monkeypa
         edit.delete(dataset, ["nothing"])
     assert state(dataset) == before
     assert check(dataset).is_ok
+
+
+def test_an_edit_that_is_decided_is_not_to_be_repeated(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rename = os.rename
+
+    def refuse(source: Any, target: Any) -> None:
+        if "/former/" in str(target):
+            raise OSError(13, "Permission denied")
+        rename(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.rename", refuse)
+        with pytest.raises(DatasetError, match=r"'trim' is done, .*: Permission denied\..* do not repeat it"):
+            edit.trim(dataset, "000000", first=2)
+    assert Dataset.open(dataset)["000000"].length == 11
+    recover(dataset)
+    assert Dataset.open(dataset)["000000"].length == 11
+    assert check(dataset).is_ok
+    assert not (dataset / ".edit").exists()
 
 
 def test_a_killed_prune_can_be_done_again(tmp_path: Path, make_dataset: MakeDataset) -> None:

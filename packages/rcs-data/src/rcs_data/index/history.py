@@ -161,6 +161,7 @@ class Draft:
 
         Raises:
             OSError: The disk is full, also without the dataset's reserve, or fails; nothing has changed.
+            DatasetError: The edit is made, and its files could not be brought into their places.
         """
         index, root = self.index, self.index.root
         data = b"".join(entry.line for entry in entries.values())
@@ -191,9 +192,15 @@ class Draft:
         for folder in (*(self.folder / name for name in (EPISODES_FOLDER, HISTORY_FOLDER)), self.folder):
             sync_folder(folder)
         self.folder.rename(root / EDIT_FOLDER)
-        sync_folder(root)
         gone = {entry.folder for entry in index.entries.values()} - {entry.folder for entry in entries.values()}
-        _put_in_place(root, gone, (entry.folder for entry in entries.values()))
+        try:
+            sync_folder(root)
+            _put_in_place(root, gone, (entry.folder for entry in entries.values()))
+        except OSError as err:
+            raise DatasetError(
+                f"{command!r} is done, but not all its files are in their places in {root}: {err.strerror or err}. "
+                "The next program that writes brings them there; do not repeat it."
+            ) from err
 
     def drop(self) -> None:
         """Remove what was prepared, unless it is decided."""
