@@ -180,3 +180,10 @@ def test_on_a_full_disk_former_episodes_can_be_pruned_at_once(full_disk: Path) -
     assert edit.prune(full_disk) > 1 << 14
     assert not any(finding.kind == "left_over" for finding in check(full_disk).findings)
     assert [episode.length for episode in Dataset.open(full_disk)] == [59, 30, 20]
+
+
+def test_on_a_full_disk_an_open_episode_can_be_discarded(full_disk: Path) -> None:
+    with DatasetWriter.open(full_disk, Dataset.open(full_disk).info, resume=True, leftovers="discard") as writer:
+        assert writer.recovered.removed == ("open",)
+    assert check(full_disk).is_ok
+    assert not list((full_disk / "open").iterdir())

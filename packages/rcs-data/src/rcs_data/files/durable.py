@@ -144,11 +144,19 @@ def write_file(path: Path, *pieces: bytes | memoryview) -> None:
 def remove_folder(path: Path, trash: Path) -> None:
     """Remove a folder with its contents; a kill leaves either all of it or none under its name.
 
+    On a full disk that has no space for the place, it is removed where it is, and a kill leaves a part of it.
+
     Args:
         path: The folder.
         trash: A free place on the same file system; whatever a kill leaves there is garbage.
     """
-    trash.parent.mkdir(exist_ok=True)
+    try:
+        trash.parent.mkdir(exist_ok=True)
+    except OSError as err:
+        if not is_full(err):
+            raise
+        remove_tree(path)
+        return
     path.rename(trash)
     with contextlib.suppress(OSError):
         remove_tree(trash)
