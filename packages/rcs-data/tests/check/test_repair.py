@@ -292,3 +292,18 @@ def test_an_edit_after_the_loss_of_the_history_keeps_what_it_wrote(dataset: Path
     edit.trim(dataset, ID, first=1)
     assert check(dataset).is_ok
     assert len(Dataset.open(dataset)[ID].column("observation/joints")) == 5
+
+
+@pytest.mark.parametrize(("then", "instruction"), [("undo", "pick the cuboid"), ("repair", "push")])
+def test_the_loss_of_an_undone_edit_costs_no_other(dataset: Path, then: str, instruction: str) -> None:
+    edit.relabel(dataset, "push", episodes=[ID])
+    edit.trim(dataset, "000000", first=1)
+    edit.undo(dataset)
+    scribble(dataset / "history/2.jsonl", 20)
+    assert only(dataset).what == "quarantined"
+    if then == "undo":
+        edit.undo(dataset)
+    else:  # the label of an episode whose line is damaged is that of the edits in force
+        damage_line(dataset)
+        repair(dataset)
+    assert Dataset.open(dataset)[ID].instruction == instruction

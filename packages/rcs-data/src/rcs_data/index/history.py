@@ -85,8 +85,8 @@ def edits_in_force(root: Path) -> list[Edit]:
     """
     left: list[Edit] = []
     for edit in history(root):
-        if edit.command == UNDO:
-            del left[-1:]
+        if edit.command == UNDO:  # by its number: the file of what it undid may be in quarantine
+            left = [one for one in left if one.number != edit.arguments.get("number")]
         else:
             left.append(edit)
     return left
