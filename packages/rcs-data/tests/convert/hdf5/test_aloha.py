@@ -115,6 +115,18 @@ def test_files_that_do_not_fit_are_refused(tmp_path: Path, change: Any, error: A
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
+def test_a_first_file_without_images_is_told(tmp_path: Path) -> None:
+    for i in range(2):
+        _episode(tmp_path / f"in/episode_{i}.hdf5", seed=i, compressed=True)
+    with h5py.File(tmp_path / "in/episode_0.hdf5", "r+") as file:
+        del file["observations/images/cam_high"]
+        file["observations/images/cam_high"] = np.empty((0, 9), np.uint8)
+    with pytest.raises(CorruptEpisode, match=r"cam_high in .* has 0 rows; an episode has at least 1"):
+        import_aloha(tmp_path / "in", tmp_path / "back")
+    rest = import_aloha(tmp_path / "in", tmp_path / "rest", ImportOptions(allow_missing=True))
+    assert [episode.id for episode in rest] == ["000001"]
+
+
 def test_what_is_no_file_of_aloha_is_told(tmp_path: Path) -> None:
     with pytest.raises(InvalidSetup, match="no files of ALOHA"):
         import_aloha(tmp_path, tmp_path / "back")

@@ -199,6 +199,10 @@ def test_what_is_no_file_of_robomimic_is_told(dataset: Path, tmp_path: Path) -> 
         file["other"] = 1
     with pytest.raises(InvalidSetup, match="no episodes"):
         import_robomimic(tmp_path / "empty.hdf5", tmp_path / "back")
+    with h5py.File(tmp_path / "array.hdf5", "w") as file:
+        file["data/x"] = np.zeros((3, 2))
+    with pytest.raises(InvalidSetup, match="/data/x is an array, not an episode"):
+        import_robomimic(tmp_path / "array.hdf5", tmp_path / "back")
     (tmp_path / "text.hdf5").write_text("words")
     with pytest.raises(CorruptEpisode, match="Cannot read"):
         import_robomimic(tmp_path / "text.hdf5", tmp_path / "back")

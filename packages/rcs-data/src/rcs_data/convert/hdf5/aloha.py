@@ -136,6 +136,8 @@ def _camera(camera: str, values: Any, options: ImportOptions) -> Feature | None:
         return None
     if values.ndim != 2 or values.dtype != np.uint8:
         return camera_feature(camera, values.shape[1:], values.dtype.name, options)
+    if not len(values):
+        raise CorruptEpisode(f"{values.name} in {values.file.filename} has 0 rows; an episode has at least 1.")
     return camera_feature(camera, decode_image(values[0].tobytes()).shape, "uint8", options)  # a padded JPEG per row
 
 

@@ -90,6 +90,8 @@ def _demo_names(file: Any) -> dict[int, str]:
 
 def _plan(file: Any, names: list[str], options: ImportOptions) -> _Plan:
     data, demo = file["data"], file["data"][names[0]]
+    if not hasattr(demo, "keys"):
+        raise InvalidSetup(f"{file.filename} is not a file for robomimic: {demo.name} is an array, not an episode.")
     environment = _json_attribute(data, "env_args")
     found: Any = environment.get("env_kwargs")
     kwargs: dict[str, Any] = found if isinstance(found, dict) else {}
