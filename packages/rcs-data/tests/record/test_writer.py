@@ -220,6 +220,18 @@ def test_a_closed_writer_starts_nothing(tmp_path: Path, make_info: MakeInfo) -> 
     writer.close()
     with pytest.raises(DatasetError, match="closed"):
         writer.episode("a", seed=0)
+    with pytest.raises(DatasetError, match=r"Cannot remove episode 'a': the writer of .* is closed"):
+        writer.remove_episode("a")
+
+
+def test_a_copy_without_empty_folders_is_recorded_into(tmp_path: Path, make_info: MakeInfo, record: Record) -> None:
+    DatasetWriter.open(tmp_path, make_info()).close()
+    for name in ("episodes", "open"):
+        (tmp_path / name).rmdir()
+    with DatasetWriter.open(tmp_path, make_info(), resume=True) as writer:
+        record(writer, "a")
+    assert [episode.id for episode in Dataset.open(tmp_path)] == ["a"]
+    assert check(tmp_path).is_ok
 
 
 def test_any_path_will_do(tmp_path: Path, make_info: MakeInfo, record: Record) -> None:
@@ -267,6 +279,7 @@ def test_a_fork_has_no_part_in_what_its_parent_records(
                 lambda: episode.abort("for no reason"),
                 episode.discard,
                 lambda: writer.episode("b", seed=1),
+                lambda: writer.remove_episode("a"),
             ):
                 try:
                     call()
@@ -276,7 +289,7 @@ def test_a_fork_has_no_part_in_what_its_parent_records(
                 pass
             writer.close()
             os._exit(refused)
-        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 5
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 6
         episode.add(rows[3], np.zeros(STATE))
         episode.finish(True)
     assert [(each.id, each.length) for each in Dataset.open(tmp_path)] == [("a", 4)]

@@ -183,6 +183,7 @@ def publish(index: Index, episode_id: str) -> Path:
         for name in (ROWS_FILE, CHECKSUMS_FILE, ABORTED_FILE):
             (opened / name).unlink(missing_ok=True)
         final = free_folder(root, episode_id)
+        final.parent.mkdir(exist_ok=True)  # a copy may lack empty folders
         opened.rename(final)
         sync_folder(final.parent)
         index.add(about, final.name)

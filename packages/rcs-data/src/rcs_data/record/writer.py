@@ -208,8 +208,9 @@ class DatasetWriter(Closing):
             episode_id: The episode.
 
         Raises:
-            DatasetError: There is no such episode, or the disk fails.
+            DatasetError: There is no such episode, the writer is closed, or the disk fails.
         """
+        self._require_open(f"remove episode {episode_id!r}")
         check_episode_id(episode_id)
         with disk_errors(f"remove episode {episode_id!r}", self.path):
             entry = self._index.remove(episode_id, self._mark_removal)
