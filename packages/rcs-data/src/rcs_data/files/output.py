@@ -17,7 +17,7 @@ from pathlib import Path
 
 from rcs_data.errors import DatasetError
 from rcs_data.files.durable import disk_errors, is_full, remove_tree, sync_folder, synced_at_once
-from rcs_data.files.layout import EPISODES_FOLDER, check_path, has_dataset
+from rcs_data.files.layout import FOLDERS, check_path, has_dataset
 from rcs_data.files.lock import DatasetLock, try_lock
 
 OnProgress = Callable[[int, int], object]
@@ -125,15 +125,15 @@ def _abandoned(target: Path) -> Generator[tuple[Path, Path]]:
 
 
 def refuse_existing(target: Path) -> None:
-    """Raise unless a path is free: nothing there, or an empty folder, and not among the episodes of a dataset.
+    """Raise unless a path is free: nothing there, or an empty folder, and not in a folder that a dataset keeps.
 
     Raises:
         DatasetError: Something is there, the place is a dataset's, or the path is not UTF-8.
     """
     check_path(target)
     for folder in target.absolute().parents:
-        if folder.name == EPISODES_FOLDER and has_dataset(folder.parent):
-            raise DatasetError(f"{target} is among the episodes of {folder.parent}. Choose another place.")
+        if folder.name in FOLDERS and has_dataset(folder.parent):
+            raise DatasetError(f"{target} is in {folder.name}/ of the dataset {folder.parent}. Choose another place.")
     if target.is_symlink() or (target.exists() and not target.is_dir()) or (target.is_dir() and any(target.iterdir())):
         raise DatasetError(f"{target} exists already. Choose another place, or remove it.")
 
