@@ -69,23 +69,36 @@ def converted(
     return own
 
 
-def require_whole(name: str, value: Any, least: int = 0, most: int | None = None) -> None:
-    """Check a number that is no field of a record.
+def require_whole(name: str, value: Any, least: int | None = 0, most: int | None = None) -> int:
+    """Check a number that is no field of a record, and return it as one of Python.
 
     Args:
         name: Its name, for the message.
         value: The number, of Python or NumPy.
-        least: Smallest valid one.
+        least: Smallest valid one; None for no bound.
         most: Largest valid one; None for no bound.
 
     Raises:
         InvalidSetup: It is no whole number, or out of bounds.
     """
     is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not is_whole or value < least or (most is not None and value > most):
-        raise InvalidSetup(
-            f"{name} is {value!r}; valid is a whole number from {least}{'' if most is None else f' to {most}'}."
-        )
+    if not is_whole or (least is not None and value < least) or (most is not None and value > most):
+        bounds = ("" if least is None else f" from {least}") + ("" if most is None else f" to {most}")
+        raise InvalidSetup(f"{name} is {value!r:.80}; valid is a whole number{bounds}.")
+    return int(value)
+
+
+def require_number(name: str, value: Any) -> float:
+    """Check a number as `require_whole` does that may have a fraction; a whole one is returned as int.
+
+    Raises:
+        InvalidSetup: It is no number.
+    """
+    if isinstance(value, float | np.floating):
+        return float(value)
+    if isinstance(value, int | np.integer) and not isinstance(value, bool):
+        return int(value)
+    raise InvalidSetup(f"{name} is {value!r:.80}; valid is a number.")
 
 
 def accepted(own: dataclasses.Field[Any]) -> str:

@@ -93,6 +93,9 @@ def test_what_makes_no_sense_is_refused(dataset: Path, tmp_path: Path) -> None:
         edit.split(dataset, tmp_path)
     with pytest.raises(InvalidSetup, match="no episode x"):
         edit.split(dataset, tmp_path, episodes={"a": ["x"]})
+    for seed in (-1, 1.5):
+        with pytest.raises(InvalidSetup, match=f"The seed is {seed}; valid is a whole number from 0"):
+            edit.split(dataset, tmp_path, parts={"a": 1.0}, seed=seed)  # pyright: ignore[reportArgumentType]
     with pytest.raises(InvalidSetup, match="at least one"):
         edit.merge([], tmp_path / "out")
 

@@ -92,5 +92,5 @@ def test_numbers_of_numpy_are_numbers(dataset: Path) -> None:
 
 @pytest.mark.parametrize("first", [1.0, "1", None, True])
 def test_what_is_no_whole_number_is_no_row(dataset: Path, first: Any) -> None:
-    with pytest.raises(InvalidSetup, match=r"first is .*; it must be a whole number"):
+    with pytest.raises(InvalidSetup, match=r"first is .*; valid is a whole number\."):
         edit.trim(dataset, "000000", first=first)

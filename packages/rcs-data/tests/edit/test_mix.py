@@ -183,9 +183,9 @@ def test_a_word_that_is_no_part_is_refused() -> None:
 
 @pytest.mark.parametrize("total", [-4, 0])
 def test_a_total_is_a_number_of_episodes(tmp_path: Path, real: Path, total: int) -> None:
-    with pytest.raises(InvalidSetup, match=f"a total of {total} episodes"):
+    with pytest.raises(InvalidSetup, match=f"total is {total}; valid is a whole number from 1"):
         edit.mix([Part(path=real, share=1.0)], tmp_path / "out", total=total)
-    with pytest.raises(InvalidSetup, match="a finite share"):
+    with pytest.raises(InvalidSetup, match=r"share of .* is inf; valid is a finite number above 0"):
         Part(path=real, share=float("inf"))
     with pytest.raises(InvalidSetup, match="The seed is -1"):
         edit.mix([Part(path=real)], tmp_path / "out", seed=-1)
@@ -198,9 +198,9 @@ def test_numbers_of_numpy_are_numbers(tmp_path: Path, real: Path) -> None:
 
 
 def test_numbers_of_episodes_are_whole(tmp_path: Path, real: Path) -> None:
-    with pytest.raises(InvalidSetup, match=r"total is 2.5; it must be a whole number"):
+    with pytest.raises(InvalidSetup, match=r"total is 2.5; valid is a whole number from 1"):
         mix([Part(path=real, share=1.0)], tmp_path / "out", total=2.5)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InvalidSetup, match=r"is 1.5; it must be a whole number"):
+    with pytest.raises(InvalidSetup, match=r"real is 1.5; valid is a whole number from 0"):
         Part(path=real, episodes=1.5)  # pyright: ignore[reportArgumentType]
 
 

@@ -86,5 +86,5 @@ def test_a_held_value_is_that_of_its_row(dataset: Path) -> None:
 
 @pytest.mark.parametrize("frequency", ["5", None, True, [5]])
 def test_what_is_no_number_is_no_rate(dataset: Path, frequency: Any) -> None:
-    with pytest.raises(InvalidSetup, match=r"frequency is .*; it must be a number"):
+    with pytest.raises(InvalidSetup, match=r"frequency is .*; valid is a number"):
         edit.resample(dataset, frequency)

@@ -15,6 +15,7 @@ from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.files.info import MERGED, DatasetInfo, differences, feature_differences, shared_setup
 from rcs_data.files.layout import check_name, name_of
 from rcs_data.files.output import OnProgress, refuse_existing
+from rcs_data.options import require_whole
 from rcs_data.read.reader import Dataset, EpisodeRecord
 
 # Fields that may differ between merged datasets.
@@ -90,7 +91,8 @@ def split(
             episodes get their former ids back.
 
     Raises:
-        InvalidSetup: The shares do not sum up to 1, there is no such episode, or the dataset was not merged.
+        InvalidSetup: The shares do not sum up to 1, the seed is not valid, there is no such episode, or the dataset was
+            not merged.
         DatasetError: A part's folder is not empty.
         CorruptEpisode: The dataset is damaged.
     """
@@ -155,21 +157,11 @@ def own_parts(names: Sequence[str], datasets: Sequence[Dataset]) -> dict[str, di
     return {name: {field: getattr(info, field) for field in _OWN} for name, info in infos}
 
 
-def require_seed(seed: int) -> None:
-    """Refuse what is no seed.
-
-    Raises:
-        InvalidSetup: It is negative.
-    """
-    if seed < 0:
-        raise InvalidSetup(f"The seed is {seed}; valid is a whole number from 0.")
-
-
 def _drawn(dataset: Dataset, parts: Mapping[str, float], seed: int) -> dict[str, list[str]]:
     total = sum(parts.values())
     if not parts or min(parts.values()) < 0 or not abs(total - 1) <= 1e-6:  # NaN compares false
         raise InvalidSetup(f"The shares {dict(parts)} sum up to {total:g}; they must not be negative and sum up to 1.")
-    require_seed(seed)
+    seed = require_whole("The seed", seed)
     ids = [episode.id for episode in dataset.episodes]
     order = np.random.default_rng(seed).permutation(len(ids))
     ends = np.rint(np.cumsum(list(parts.values())) * len(ids)).astype(int)

@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from rcs_data.edit.arguments import whole_number
 from rcs_data.edit.rows import take_rows
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
 from rcs_data.files.text import check_text
 from rcs_data.index.history import RELABEL
+from rcs_data.options import require_whole
 
 
 def delete(path: str | Path, episodes: Iterable[str]) -> None:
@@ -54,7 +54,7 @@ def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> N
         CorruptEpisode: The episode is damaged; nothing changes.
         DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
-    first, last = whole_number(first, "first"), whole_number(last, "last")
+    first, last = require_whole("first", first, None), require_whole("last", last, None)
     with editing(path, "trim", {"episode": episode, "first": first, "last": last}) as edit:
         require_ids(path, edit.entries, [episode])
         record = edit.dataset[episode]

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from rcs_data.edit.arguments import number, whole_number
-from rcs_data.edit.combine import gathered, own_parts, require_seed, source_names
+from rcs_data.edit.combine import gathered, own_parts, source_names
 from rcs_data.edit.images import cameras_of, renamed, resized, with_names, with_size
 from rcs_data.edit.rate import at_rate, resampled
 from rcs_data.edit.transaction import making
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.files.info import MERGED, DatasetInfo, feature_differences, shared_setup
 from rcs_data.files.output import OnProgress
+from rcs_data.options import require_number, require_whole
 from rcs_data.read.reader import Dataset, EpisodeRecord
 
 
@@ -36,12 +36,10 @@ class Part:
     def __post_init__(self) -> None:
         if self.episodes is not None and self.share is not None:
             raise InvalidSetup(f"{self.path}: give a number of episodes or a share, not both.")
-        # The origin of the mix names the number.
-        if self.episodes is not None:
-            object.__setattr__(self, "episodes", whole_number(self.episodes, f"The number of episodes of {self.path}"))
-        has_no_share = self.share is not None and not 0 < number(self.share, f"The share of {self.path}") < math.inf
-        if has_no_share or (self.episodes is not None and self.episodes < 0):
-            raise InvalidSetup(f"{self.path}: expected 0 or more episodes, or a finite share above 0.")
+        if self.episodes is not None:  # as a number of Python, since the origin of the mix names it
+            object.__setattr__(self, "episodes", require_whole(f"The number of episodes of {self.path}", self.episodes))
+        if self.share is not None and not 0 < require_number(f"The share of {self.path}", self.share) < math.inf:
+            raise InvalidSetup(f"The share of {self.path} is {self.share:g}; valid is a finite number above 0.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +84,7 @@ def mix(
     """
     if not parts:
         raise InvalidSetup("There is nothing to mix; give at least one dataset.")
-    seed = whole_number(seed, "The seed")
-    require_seed(seed)
+    seed = require_whole("The seed", seed)
     how = mapping or Harmonise()
     datasets = [Dataset(part.path) for part in parts]
     names = source_names(datasets)
@@ -144,9 +141,8 @@ def _numbers(parts: Sequence[Part], datasets: Sequence[Dataset], total: int | No
         raise InvalidSetup("With shares, every part needs one, and the mix a total number of episodes.")
     if total is not None and not has_shares:
         raise InvalidSetup(f"A total of {total} episodes needs a share for each part.")
-    if total is not None and whole_number(total, "total") < 1:
-        raise InvalidSetup(f"The mix has a total of {total} episodes; valid is a whole number from 1.")
     if total is not None:
+        total = require_whole("total", total, 1)
         weights = np.array(shares, np.float64)
         weights /= weights.max()  # so that the sum of very large ones is finite
         ends = np.rint(np.cumsum(weights / weights.sum()) * total).astype(int)

@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs_data.edit.arguments import number
 from rcs_data.edit.rotations import IDENTITY, Quaternion, from_rotvec, from_rpy, multiply, normalized, to_rotvec, to_rpy
 from rcs_data.edit.rows import take_rows
 from rcs_data.edit.transaction import editing
@@ -22,6 +21,7 @@ from rcs_data.files.feature import Feature
 from rcs_data.files.flags import FrameFlag, camera_of
 from rcs_data.files.info import DatasetInfo
 from rcs_data.files.output import OnProgress
+from rcs_data.options import require_number
 from rcs_data.read.content import flat_numbers
 
 
@@ -42,7 +42,7 @@ def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | No
         CorruptEpisode: An episode is damaged; nothing changes.
         DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
     """
-    frequency = number(frequency, "frequency")
+    frequency = require_number("frequency", frequency)
     with editing(path, "resample", {"frequency": frequency}, new_info=lambda info: at_rate(info, frequency)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
