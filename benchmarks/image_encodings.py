@@ -29,8 +29,7 @@ import tyro
 from numpy.typing import NDArray
 from PIL import Image
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, FrameAccess
-from rcs_data.convert.images import encode_png
-from rcs_data.files.codec import encode_depth, encode_jpeg
+from rcs_data.files.codec import encode_depth, encode_jpeg, encode_png
 from rcs_data.files.durable import HashedFile
 from rcs_data.files.feature import Colour
 from rcs_data.files.frames_file import FramesFile, FramesWriter

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from rcs_data import Windows, check
 from rcs_data.convert.formats import import_format
-from rcs_data.convert.images import decode_png
 from rcs_data.convert.labels import row_texts
 from rcs_data.convert.options import ImportOptions
+from rcs_data.files.codec import decode_png
 
 # Features by column; a number is how many rows later it is, an action after what was seen.
 COLUMNS = {

@@ -8,8 +8,9 @@ import av
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rcs_data.convert.images import decode_image, decode_png, encode_png
+from rcs_data.convert.images import decode_image
 from rcs_data.errors import CorruptEpisode
+from rcs_data.files.codec import decode_png, encode_png
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 5), (48, 64)])

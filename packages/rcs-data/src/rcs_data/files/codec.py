@@ -29,7 +29,12 @@ from rcs_data.files.info import DatasetInfo, Subsampling
 ONE_THREAD: dict[str, Any] = {"threads": 1} if int(av.__version__.partition(".")[0]) >= 17 else {}
 """Options of PyAV's `reformat`, which used one thread before it had a choice."""
 
-_PNG, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND"
+PNG = b"\x89PNG\r\n\x1a\n"
+"""The first bytes of a PNG file."""
+_PNG_END = b"IEND"
+_PNG_PIXELS = {(2, 2): "gray16be", (2, 1): "gray", (3, 1): "rgb24"}  # by axes and bytes per number
+# Filter "sub", each byte minus that of the pixel before, and the fastest level that is not much larger.
+_PNG_OPTIONS = {"compression_level": "1", "pred": "sub"}
 _JPEG, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
 _QOI, _QOI_END = b"qoif", b"\0\0\0\0\0\0\0\1"
 
@@ -85,7 +90,7 @@ def _is_qoi(data: bytes) -> bool:
 
 
 def _is_png(data: bytes) -> bool:
-    return data[:8] == _PNG and data[-8:-4] == _PNG_END
+    return data[:8] == PNG and data[-8:-4] == _PNG_END
 
 
 def blank_frame(feature: Feature, info: DatasetInfo) -> bytes:
@@ -198,7 +203,7 @@ def encode_depth(image: NDArray[np.uint16]) -> bytes:
     np.subtract(values[1:], values[:-1], out=lines[1:, 1:])
     header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
     parts = ((b"IHDR", header), (b"IDAT", isal_zlib.compress(lines, 1)), (_PNG_END, b""))
-    return _PNG + b"".join(map(_chunk, *zip(*parts, strict=True)))
+    return PNG + b"".join(map(_chunk, *zip(*parts, strict=True)))
 
 
 def decode_depth(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint16]:
@@ -211,9 +216,34 @@ def decode_depth(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint16]:
     Raises:
         CorruptEpisode: The bytes are not a whole PNG file of 16 bits and this shape.
     """
+    return decode_png(data, shape, "uint16", converts=False)
+
+
+def encode_png(image: NDArray[Any]) -> bytes:
+    """Return the image as PNG, for formats without another lossless encoding.
+
+    Args:
+        image: RGB, shape (H, W, 3), uint8; or grey, shape (H, W), uint8 or uint16.
+    """
+    return _encode("png", _PNG_PIXELS[image.ndim, image.dtype.itemsize], image, _PNG_OPTIONS)
+
+
+def decode_png(data: bytes, shape: tuple[int, ...], dtype: str, *, converts: bool = True) -> NDArray[Any]:
+    """Return the image in a PNG file.
+
+    Args:
+        data: The bytes of the file.
+        shape: The expected shape, (H, W) or (H, W, 3).
+        dtype: "uint8" or "uint16".
+        converts: Whether other pixels, such as those of a palette, become the expected ones.
+
+    Raises:
+        CorruptEpisode: The bytes are not such an image.
+    """
+    # The decoder itself takes a file that was cut short.
     if not _is_png(data):
         raise CorruptEpisode(f"The {len(data)} bytes are not a whole PNG file.")
-    return _decode("png", "gray16be", data, shape)
+    return _decode("png", _PNG_PIXELS[len(shape), np.dtype(dtype).itemsize], data, shape, converts=converts)
 
 
 def _chunk(name: bytes, data: bytes) -> bytes:
@@ -228,15 +258,15 @@ def _encode(codec: str, pixels: str, image: NDArray[Any], options: dict[str, str
     return bytes(packet)
 
 
-def _decode(codec: str, pixels: str, data: bytes, shape: tuple[int, ...]) -> NDArray[Any]:
+def _decode(codec: str, pixels: str, data: bytes, shape: tuple[int, ...], *, converts: bool = False) -> NDArray[Any]:
     # A new context for each image: one that decodes a second PNG returns wrong pixels.
     context: Any = av.CodecContext.create(codec, "r")
     context.thread_count, context.options = 1, {"err_detect": "crccheck+explode"}
     try:
         (frame,) = context.decode(av.Packet(data))
-        image: NDArray[Any] = frame.to_ndarray()
+        image: NDArray[Any] = frame.to_ndarray(format=pixels) if converts else frame.to_ndarray()
     except (FFmpegError, ValueError) as err:
         raise CorruptEpisode(f"The {len(data)} bytes do not decode to {shape}: {err}.") from err
-    if frame.format.name != pixels or image.shape != shape:
+    if (frame.format.name != pixels and not converts) or image.shape != shape:
         raise CorruptEpisode(f"The image is {image.shape} {frame.format.name}; expected {shape} {pixels}.")
     return image

@@ -9,13 +9,13 @@ import pytest
 import simplejpeg
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, Windows, check
 from rcs_data.convert.formats import import_format
-from rcs_data.convert.images import encode_png
 from rcs_data.convert.labels import row_texts
 from rcs_data.convert.options import ExportOptions, ImportOptions
 from rcs_data.convert.rlds.export import export_rlds
 from rcs_data.convert.rlds.import_ import import_rlds, is_rlds
 from rcs_data.convert.rlds.tfrecord import ShardWriter
 from rcs_data.errors import CorruptEpisode, InvalidSetup
+from rcs_data.files.codec import encode_png
 
 STEPS = 4
 IMAGE = np.add.outer(np.arange(16) * 4, np.arange(24) * 3)[..., None].astype(np.uint8) + np.zeros(3, np.uint8)
@@ -138,7 +138,7 @@ def test_damaged_episodes_are_left_out_and_named_if_that_is_allowed(tmp_path: Pa
     [
         ("steps/observation/image_0", [b"words"] * STEPS, "not an image"),
         ("steps/observation/image_0", [JPEG[:-300]] * STEPS, "not a whole JPEG"),
-        ("steps/observation/image_0", [encode_png(IMAGE)[:-30]] * STEPS, "does not decode"),
+        ("steps/observation/image_0", [encode_png(IMAGE)[:-30]] * STEPS, "not a whole PNG"),
         ("steps/observation/image_0", [encode_png(np.zeros((9, 9, 3), np.uint8))] * STEPS, r"expected \(16, 24, 3\)"),
         ("steps/observation/image_0", [JPEG] * (STEPS - 1), "fewer values"),
         ("steps/observation/image_0", np.zeros(STEPS, np.float32), "lacks the byte strings"),
