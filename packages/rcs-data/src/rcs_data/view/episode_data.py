@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rcs_data.files.feature import Feature
 from rcs_data.files.flags import FrameFlag, camera_of, flags_key, time_key
 from rcs_data.files.info import DatasetInfo
+from rcs_data.read.content import flat_numbers
 from rcs_data.read.reader import EpisodeRecord
 
 FLAWS = ("repeated", "stale", "missing", "dropped", "gap", "jitter", "backwards")
@@ -140,23 +141,16 @@ def _columns(episode: EpisodeRecord, keys: set[str]) -> dict[str, NDArray[np.flo
 
     They are read together: a file is opened as long as twenty rows take to read.
     """
-    features = {
-        feature.key: feature
-        for feature in episode.info.features
-        if feature.key in keys or feature.key.startswith(("time/", "flags/"))
-    }
+    features = [f for f in episode.info.features if f.key in keys or f.key.startswith(("time/", "flags/"))]
     if not features:
         return {}
-    table = episode.steps(list(features))
-    return {key: _numbers(table.column(key), feature) for key, feature in features.items()}
+    table = episode.steps(feature.key for feature in features)
+    return {feature.key: _numbers(table.column(feature.key), feature) for feature in features}
 
 
 def _numbers(column: pa.ChunkedArray, feature: Feature) -> NDArray[np.float64]:
-    array = column.combine_chunks()
-    is_known = array.is_valid().to_numpy(zero_copy_only=False)
-    flat = array.drop_null().flatten() if pa.types.is_fixed_size_list(array.type) else array.drop_null()
-    numbers = np.full((len(array), feature.size), np.nan)
-    numbers[is_known] = flat.to_numpy(zero_copy_only=False).reshape(-1, feature.size)
+    numbers = flat_numbers(column).reshape(-1, feature.size).astype(np.float64)
+    numbers[column.is_null().to_numpy()] = np.nan
     return numbers
 
 
