@@ -79,6 +79,20 @@ def named(features: Sequence[Feature], name: Callable[[Feature], str], taken: Se
     return found
 
 
+def short_name(feature: Feature, of_frames: str) -> str:
+    """Return the name of a feature in a format where that is one word, such as "left_joints".
+
+    Args:
+        feature: The feature.
+        of_frames: How what belongs to a camera is named: "{camera}_{kind}" gives "wrist_image" and "wrist_depth".
+    """
+    frame = FrameKey.of(feature.key)
+    if frame is None:
+        return feature.key.removeprefix(f"{OBSERVATION}/").replace("/", "_")
+    kind = "image" if frame.kind == "rgb" else frame.kind
+    return of_frames.format(camera=frame.camera.replace("/", "_"), kind=kind)
+
+
 def is_done(feature: Feature) -> bool:
     """Return whether a feature describes what a step did, not the observation before it."""
     is_end = feature.key in ("terminated", "truncated")

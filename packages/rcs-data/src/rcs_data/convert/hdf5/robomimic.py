@@ -25,14 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs_data.convert.hdf5.arrays import load_h5py
-from rcs_data.convert.observations import (
-    ACTION_DICT,
-    FrameKey,
-    export_report,
-    kept_info,
-    named,
-    observed,
-)
+from rcs_data.convert.observations import ACTION_DICT, export_report, kept_info, named, observed, short_name
 from rcs_data.convert.options import ExportOptions, ExportReport, refuse_unused, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.files.codec import decode_frame
@@ -85,7 +78,7 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
     parts = observed(info)
     if options.state is not None:
         parts = (*state_layout(info, options.state).features, *(feature for feature in parts if feature.is_image))
-    observations = named(parts, _observation_name)
+    observations = named(parts, lambda f: short_name(f, "{camera}_{kind}"))
     digest = dataset.digest()
     total = sum(episode.length - 1 for episode in episodes)
     low, high = _limits(episodes, action)
@@ -170,14 +163,6 @@ def _chunk(image: NDArray[Any], compress: bool) -> bytes:
         return little_endian.tobytes()
     shuffled = little_endian.view(np.uint8).reshape(-1, image.dtype.itemsize).T
     return zlib.compress(shuffled.tobytes(), _ZLIB_LEVEL)
-
-
-def _observation_name(feature: Feature) -> str:
-    frame = FrameKey.of(feature.key)
-    if frame is None:
-        words = feature.key.split("/")
-        return "_".join(words[1:] if words[0] == "observation" else words)
-    return f"{frame.camera.replace('/', '_')}_{'image' if frame.kind == 'rgb' else frame.kind}"
 
 
 def _environment(info: DatasetInfo) -> dict[str, Any]:

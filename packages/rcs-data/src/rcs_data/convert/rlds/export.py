@@ -26,7 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs_data.convert.images import as_png
-from rcs_data.convert.observations import FrameKey, describe_layout, export_report, is_done, kept_info, named, observed
+from rcs_data.convert.observations import (
+    describe_layout,
+    export_report,
+    is_done,
+    kept_info,
+    named,
+    observed,
+    short_name,
+)
 from rcs_data.convert.options import ExportOptions, ExportReport, export_name, refuse_unused, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.convert.rlds.features import Spec, features_json, image, numbers, tensor, text
@@ -126,7 +134,7 @@ def _columns(
         raise InvalidSetup(
             f"{', '.join(images)} cannot be extra features, which must be numbers; choose cameras instead."
         )
-    observations = named(seen, _observation_name, taken=("state",))
+    observations = named(seen, lambda f: short_name(f, "{kind}_{camera}"), taken=("state",))
     reward = "reward" if any(feature.key == "reward" for feature in info.features) else None
     columns = {
         "observation/state": _Column(
@@ -158,14 +166,6 @@ def _columns(
         **{f"steps/{name}": column for name, column in columns.items()},
         **{f"episode_metadata/{name}": column for name, column in about.items()},
     }
-
-
-def _observation_name(feature: Feature) -> str:
-    frame = FrameKey.of(feature.key)
-    if frame is None:
-        return "_".join(feature.key.split("/")[1:])
-    kind = "image" if frame.kind == "rgb" else frame.kind
-    return f"{kind}_{frame.camera.replace('/', '_')}"
 
 
 def _feature_column(feature: Feature) -> _Column:
