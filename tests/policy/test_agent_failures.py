@@ -12,6 +12,7 @@ from vlagents import Chunk, ConnectionLost, Metadata, Observation, PolicyFailed,
 from vlagents.policies.scripted import ScriptedPolicy
 
 import rcs
+from rcs.agents import PerRobot
 from rcs.devices.fakes import FakeGripper
 from rcs.envs import Env
 from rcs.errors import InvalidSetup, RcsError
@@ -33,6 +34,32 @@ def test_holding_moves_nothing_in_any_control(control: Any, relative: bool) -> N
         np.testing.assert_allclose(last["joints"], first["joints"], atol=2e-3)
         if relative:
             assert rows[-1][0][control].tolist() == still
+
+
+def test_the_policy_of_one_robot_of_two_holds_that_one_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    with rcs.make("Free", robot="dual_fr3", relative=True) as env:
+        told = Metadata(name="still", action=offer_of(env).action, rate=30.0, horizon=16)
+        still = ScriptedPolicy(lambda *_: np.zeros((16, told.size)), told)
+        failing = ScriptedPolicy(lambda *_: np.zeros((16, told.size)), replace(told, name="failing"))
+        both = PerRobot(env, {"left": ChunkAgent(env, still), "right": ChunkAgent(env, failing)})
+        held: list[str | None] = []
+        rebase = env.rebase
+
+        def note(robot: str | None = None) -> None:
+            held.append(robot)
+            rebase(robot)
+
+        monkeypatch.setattr(env, "hold", lambda: held.append("all"))
+        monkeypatch.setattr(env, "rebase", note)
+        observation, info = env.reset(seed=0)
+        both.reset(observation, info)
+        for step in range(40):
+            if step == 5:
+                failing._act = lambda *_: 1 / 0  # type: ignore[assignment]
+            observation, *_, info = env.step(both.act(observation, info))
+        assert held == ["right"]
+        assert both.notes()["right/policy_is_held"]
+        assert not both.notes()["left/policy_is_held"]
 
 
 def test_a_robot_in_motion_stops_when_its_policy_fails_and_its_gripper_keeps_its_grip(env: Env) -> None:

@@ -14,14 +14,14 @@ import pytest
 from rcs_data import Dataset, EpisodeRecord
 
 import rcs
-from rcs.agents import Agent, Event, Guide
+from rcs.agents import Agent, Event, Guide, PerRobot
 from rcs.envs.observer import Note
 from rcs.envs.spaces import Action, Observation
 from rcs.rollout.latency import Latency
 from rcs.rollout.takes import LoopStatistics, Takes
 from rcs.rollout.teleoperate import Teleoperation
 from rcs.teleop import Operator, Takeover
-from tests.teleop.scripted_device import LEVEL, ScriptedDevice, held
+from tests.teleop.scripted_device import LEVEL, ScriptedDevice, at, held
 
 
 class Asking(Agent):
@@ -211,6 +211,68 @@ def test_on_real_devices_the_person_leads_after_a_take_and_not_the_policy(tmp_pa
         agent.close()
     (episode,) = Dataset.open(tmp_path / "set").episodes
     assert episode.info.feature("notes/actor").words == ("policy", "person")
+
+
+def test_after_a_take_a_real_robot_stays_whatever_its_actions_count_from(tmp_path: Path) -> None:
+    def script(t: float) -> Any:
+        return held(at(0.0, 0.1 * min(t, 1.5), 1.0), *(("clutch",) if t > 0.2 else ()))
+
+    with rcs.make("Free", hardware="fake", relative="origin", binary_gripper=False, max_episode_steps=None) as env:
+        person = Operator(env, ScriptedDevice(script), has_thread=False)
+        with rcs.record(env, tmp_path / "set", notes=person.note_fields) as recorder:
+            loop = Teleoperation(env, person, takes=Takes(recorder, env.frequency))
+            loop.begin(0)
+            start = loop.observation["joints"]
+            loop.obey("start")
+            for _ in range(75):
+                loop.advance()
+            led = loop.observation["joints"]
+            assert np.abs(led - start).max() > 0.1
+            loop.obey("success")
+            loop.advance()
+            np.testing.assert_allclose(loop.info["target"]["joints"], led, atol=0.02)
+        person.close()
+
+
+class Turning(Agent):
+    """Turns the first joint of the right robot on and on."""
+
+    steps = 0
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        self.steps += 1
+        joints = observation["right"]["joints"] + np.array([0.02, *[0.0] * 6])
+        return {"joints": joints, "gripper": np.ones(1, np.float32)}
+
+
+def test_on_real_devices_a_policy_beside_a_person_rests_after_a_take_until_a_reset(tmp_path: Path) -> None:
+    hardware = {name: "fake" for arm in ("left", "right") for name in (arm, f"{arm}/gripper")}
+    setup: dict[str, Any] = {"robot": "dual_fr3", "relative": "absolute", "max_episode_steps": None}
+    with rcs.make("Free", hardware=hardware, **setup) as env:
+        person = Operator(env, ScriptedDevice(lambda t: held(LEVEL)), robots={"right": "left"}, has_thread=False)
+        policy = Turning()
+        both = PerRobot(env, {"left": person, "right": policy})
+        with rcs.record(env, tmp_path / "set", notes=both.note_fields) as recorder:
+            loop = Teleoperation(env, both, takes=Takes(recorder, env.frequency))
+            loop.begin(0)
+            loop.obey("start")
+            for _ in range(10):
+                loop.advance()
+            loop.obey("success")
+            for _ in range(40):
+                loop.advance()
+            stopped = loop.observation["right"]["joints"]
+            for _ in range(10):
+                loop.advance()
+            assert policy.steps == 10
+            np.testing.assert_allclose(loop.observation["right"]["joints"], stopped, atol=1e-3)
+            loop.obey("reset")
+            loop.advance()
+            assert policy.steps == 11
+        both.close()
 
 
 def test_the_latency_of_a_take_is_its_own_and_that_of_the_session_is_told() -> None:

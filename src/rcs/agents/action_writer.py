@@ -129,6 +129,15 @@ class ActionWriter:
         return tquat_to_xyzrpy(action)[KEPT] if self._name == XYZYAW else tquat_to_xyzrpy(action)
 
 
+def after_hold(info: Mapping[str, Any]) -> dict[str, Any]:
+    """Return info without what actions counted from: after `Env.hold`, the next one counts from where devices are.
+
+    Args:
+        info: Info of the last step before it.
+    """
+    return {key: own for key, own in info.items() if key != "target" and key.rpartition("/")[2] != ORIGIN}
+
+
 def difference(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the motion along and about the axes of the parent frame that takes `start` to `goal`, all (7,).
 

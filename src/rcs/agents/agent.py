@@ -51,6 +51,9 @@ class Agent(ABC):
         """How long each answer of a policy took in this episode [s]."""
         return ()
 
+    def lead_only(self, robot: str) -> None:  # noqa: B027  most agents only answer
+        """Act for one robot of several; the others have agents of their own, and go on when it has to hold."""
+
     def close(self) -> None:  # noqa: B027  most agents hold nothing
         """Release devices, threads and connections. Closing twice is harmless."""
 

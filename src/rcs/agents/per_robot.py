@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from rcs.agents.agent import Agent, Event
+from rcs.agents.guide import Guide
 from rcs.agents.pace import Pace
 from rcs.envs.env import Env
 from rcs.envs.observer import Note
@@ -38,7 +39,11 @@ class PerRobot(Agent):
                 f"The agents are for {', '.join(map(repr, agents)) or 'no robot'}; valid is one for each robot of "
                 f"several, here {', '.join(map(repr, env.robots))}."
             )
+        self._env = env
         self._paces = {name: Pace(env, agents[name]) for name in env.robots}
+        self._resting: dict[str, Guide] = {}
+        for name, agent in agents.items():
+            agent.lead_only(name)
 
     @property
     def agents(self) -> dict[str, Agent]:
@@ -47,6 +52,7 @@ class PerRobot(Agent):
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Have all agents begin an episode."""
+        self._resting = {}
         for pace in self._paces.values():
             pace.reset(observation, info)
 
@@ -54,9 +60,25 @@ class PerRobot(Agent):
         """Return the next action, of all robots."""
         actions: Action = {}
         for name, pace in self._paces.items():
-            given = pace.act(observation, info)
+            given = self._resting.get(name, pace).act(observation, info)
             actions[name] = given.get(name, given)
         return actions
+
+    def rest(self, robot: str, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Have a robot brake and stay, with what its gripper holds, and its agent act no more until the next `reset`.
+
+        Args:
+            robot: Name of the robot.
+            observation: The present observation.
+            info: Info of the last step.
+
+        Raises:
+            InvalidSetup: A layer has given the robot actions that only a policy can make.
+        """
+        guide = self._resting[robot] = Guide(self._env, self._env.robots[robot])
+        guide.reset(observation)
+        guide.keep_opening(info)
+        guide.brake()
 
     def close(self) -> None:
         """Close all agents, also when one of them fails to. Closing twice is harmless."""
@@ -98,7 +120,8 @@ class PerRobot(Agent):
 
     def notes(self) -> Mapping[str, Any]:
         """Return the notes of all agents that have decided, each after the name of its robot."""
-        return {f"{name}/{key}": own for name, pace in self._paces.items() for key, own in pace.notes().items()}
+        acting = {name: pace for name, pace in self._paces.items() if name not in self._resting}
+        return {f"{name}/{key}": own for name, pace in acting.items() for key, own in pace.notes().items()}
 
     def events(self) -> Sequence[Event]:
         """Return the requests of all agents."""

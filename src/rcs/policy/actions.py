@@ -46,6 +46,8 @@ class PolicyActions:
         self._env = env
         self._boxes = dict(flat_boxes(env.action_space))
         self._is_absolute = env.setup.relative == "absolute"
+        self.robot: str | None = None
+        """The only robot that it leads; None for all."""
         self.is_clipped = False
         """True if the last action of the policy was beyond the bounds of the environment."""
         self._held: dict[str, Array] = {}
@@ -120,13 +122,15 @@ class PolicyActions:
         return nested(values, self._boxes)
 
     def hold(self, observation: Observation) -> Action:
-        """Return the action of holding; the devices hold from its first one on."""
+        """Return the action of holding; the devices of the robots that it leads hold from its first one on."""
         if not self._held:
             measured = flat(observation)
             self._held = {name: self._place(name, measured) for name in self._boxes}
             self.is_clipped = False
-            if self._was_moved:
+            if self._was_moved and self.robot is None:
                 self._env.hold()
+            elif self._was_moved:  # the others go on, and their actions of this step count from where they did
+                self._env.rebase(self.robot)
         return nested(self._held, self._boxes)
 
     def _place(self, name: str, measured: Mapping[str, Array]) -> Array:

@@ -140,6 +140,10 @@ class ChunkAgent(Agent):
             self._lose(self._executor.error)
         return self._actions.hold(observation) if command is None else self._actions.action(command)
 
+    def lead_only(self, robot: str) -> None:
+        """Act for one robot of several: when there is nothing to execute, the others go on."""
+        self._actions.robot = robot
+
     @property
     def note_fields(self) -> Sequence[Note]:
         """The numbers of `NOTES`."""

@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from rcs.agents import Agent, Event, Pace
+from rcs.agents.action_writer import after_hold
 from rcs.envs.env import Env
 from rcs.envs.spaces import Observation
 from rcs.envs.step.judge import FAULT
 from rcs.errors import RcsError
 from rcs.rollout.takes import LoopStatistics, Takes, verdict_of
-from rcs.teleop.takeover import Takeover
+from rcs.teleop.takeover import end_policies, people_of
 
 VERDICTS: Mapping[Event, bool] = {"success": True, "failure": False}
 """Events that end a take with a verdict."""
@@ -25,8 +26,9 @@ class Teleoperation:
     `success`, `failure` and `discard` end it; `reset` begins the next episode, also after a fault, and keeps a take
     under way without a verdict; `stop` ends all.
     In simulation, a take that has ended is followed by the next episode, a discarded one by the same again. On real
-    robots the loop goes on, and the person leads the robot to where the next take begins, also one of a policy.
-    Whenever a take ends, all devices hold, and the person has to press the clutch anew.
+    robots the loop goes on, and the person leads the robot to where the next take begins, also one of a policy that
+    may be taken over; a policy beside a person rests until `reset`. Whenever a take ends, all devices hold, and the
+    person has to press the clutch anew.
     """
 
     def __init__(
@@ -176,7 +178,21 @@ class Teleoperation:
             self.begin(None if is_kept else self.seed)
         elif not self.is_over:
             self._ended = None
-            if isinstance(self.agent, Takeover):
-                self.agent.give_to_person(self.observation, self.info)
-            else:
-                self._pace.reset(self.observation, self.info)
+            self.info = go_on_from_hold(self._pace, self.observation, self.info)
+
+
+def go_on_from_hold(pace: Pace | None, observation: Observation, info: Mapping[str, Any]) -> dict[str, Any]:
+    """Have people go on after `Env.hold`, and no policy beside them; return the info to go on with.
+
+    Args:
+        pace: Who acts; an agent without people begins anew; None for nobody.
+        observation: The present observation.
+        info: Info of the last step.
+    """
+    if pace is not None and (people := people_of(pace.agent)):
+        end_policies(pace.agent, observation, info)
+        for person in people:
+            person.take_over(observation, info)
+    elif pace is not None:
+        pace.reset(observation, info)
+    return after_hold(info)

@@ -69,6 +69,10 @@ class Takeover(Agent):
         self.actor = "person"
         self.operator.take_over(observation, info)
 
+    def lead_only(self, robot: str) -> None:
+        """Have the policy act for one robot of several."""
+        self._pace.agent.lead_only(robot)
+
     @property
     def note_fields(self) -> Sequence[Note]:
         """Who acted, and the notes of both."""
@@ -105,3 +109,21 @@ def people_of(agent: Agent | None) -> list[Operator]:
         return [person for own in agent.agents.values() for person in people_of(own)]
     person = agent.operator if isinstance(agent, Takeover) else agent
     return [person] if isinstance(person, Operator) else []
+
+
+def end_policies(agent: Agent | None, observation: Observation, info: Mapping[str, Any]) -> None:
+    """Have no policy act beside people: they get the robots that they may take over, and the others rest.
+
+    Args:
+        agent: Who acts.
+        observation: The present observation.
+        info: Info of the last step.
+    """
+    if isinstance(agent, Takeover) and agent.actor == "policy":
+        agent.give_to_person(observation, info)
+    elif isinstance(agent, PerRobot):
+        for name, own in agent.agents.items():
+            if people_of(own):
+                end_policies(own, observation, info)
+            else:
+                agent.rest(name, observation, info)

@@ -337,6 +337,21 @@ def test_real_devices_are_shown_where_they_are_measured_and_stay_when_nobody_lea
     assert [one.success for one in Dataset.open(tmp_path / "set").episodes] == [True]
 
 
+def test_after_a_take_a_real_robot_led_on_the_page_stays_where_it_is(tmp_path: Path) -> None:
+    setup = playable(Setup(task="Free", relative="origin"))
+    with Session(setup, hardware="fake", record_into=tmp_path / "set") as session:
+        joints = session.guides["fr3"].joints
+        joints[0] += 0.5
+        session.guides["fr3"].lead_joints_to(joints)
+        for verdict in ("success", "discard"):
+            session.obey("start")
+            for _ in range(45):
+                session.step()
+            session.obey(verdict)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
+            session.step()
+            np.testing.assert_allclose(session.info["target"]["joints"], joints, atol=0.02)
+
+
 @pytest.mark.parametrize("is_takeover", [False, True])
 def test_on_real_devices_no_policy_acts_after_a_take(is_takeover: bool, tmp_path: Path) -> None:
     def agent(env: Env) -> Agent:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rcs_data import Dataset
 
-from rcs.agents import Agent
+from rcs.agents import Agent, PerRobot
 from rcs.envs import Env
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Action, Observation
@@ -86,6 +86,25 @@ def test_a_person_at_a_device_goes_on_after_a_fault_and_after_a_stop(monkeypatch
         assert (session.verdict, session.seed, recoveries) == ("running", 2, 1)
 
 
+def test_the_button_takeover_without_a_policy_leaves_a_device_the_lead() -> None:
+    now = [0.0]
+
+    def operator(env: Env) -> Operator:
+        def script(t: float) -> HandReading:
+            return held(LEVEL, *(("takeover",) if 0.3 < t < 0.4 else ()))
+
+        device = ScriptedDevice(script, clock=lambda: now[0])
+        return Operator(env, device, clock=lambda: now[0], has_thread=False)
+
+    setup = replace(playable(Setup(task="Free")), stepping="async")
+    with Session(setup, agent=operator) as session:
+        session.let_agent(True)
+        for _ in range(20):
+            now[0] += 1 / 30
+            session.step()
+        assert isinstance(session.agent, Operator)
+
+
 class Typed:
     """Keys of a page, none of which is held."""
 
@@ -129,13 +148,17 @@ def test_a_take_led_by_keys_after_another_one_has_all_notes_of_them(tmp_path: Pa
 
 
 class Turning(Agent):
-    """A policy that turns the first joint on and on."""
+    """A policy that turns the first joint of a robot on and on."""
+
+    def __init__(self, robot: str = "") -> None:
+        self.robot = robot
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Nothing to forget."""
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
-        return {"joints": observation["joints"] + np.array([0.02, *[0.0] * 6]), "gripper": np.ones(1, np.float32)}
+        joints = (observation[self.robot] if self.robot else observation)["joints"]
+        return {"joints": joints + np.array([0.02, *[0.0] * 6]), "gripper": np.ones(1, np.float32)}
 
 
 def test_when_the_page_that_led_is_gone_a_policy_gives_the_robots_to_the_person_who_may_take_over() -> None:
@@ -160,3 +183,27 @@ def test_when_the_page_that_led_is_gone_a_policy_gives_the_robots_to_the_person_
         for _ in range(20):
             session.step()
         np.testing.assert_allclose(session.observation["joints"], stopped, atol=1e-4)
+
+
+def test_when_the_page_that_led_is_gone_a_policy_beside_a_person_rests() -> None:
+    def both(env: Env) -> PerRobot:
+        device = ScriptedDevice(lambda t: held(LEVEL), clock=lambda: float(env.simulation.world.time))
+        clock = device.clock
+        person = Operator(env, device, robots={"right": "left"}, clock=clock, has_thread=False)
+        return PerRobot(env, {"left": person, "right": Turning("right")})
+
+    setup = replace(playable(Setup(task="Free", robot="dual_fr3", relative="absolute")), stepping="async")
+    with Session(setup, agent=both) as session:
+        session.let_agent(True)
+        start = session.observation["right"]["joints"]
+        for _ in range(10):
+            session.step()
+        session.release()
+        assert isinstance(session.agent, PerRobot), "the person at the device may lead"
+        for _ in range(40):
+            session.step()
+        stopped = session.observation["right"]["joints"]
+        assert np.abs(stopped - start).max() > 0.02
+        for _ in range(20):
+            session.step()
+        np.testing.assert_allclose(session.observation["right"]["joints"], stopped, atol=1e-4)

@@ -24,13 +24,13 @@ from rcs.envs.step.judge import DIVERGED, FAULT
 from rcs.envs.step.stack import for_all
 from rcs.errors import DeviceFault, RcsError, WrongOrder
 from rcs.rollout.takes import LoopStatistics, Takes, verdict_of
-from rcs.rollout.teleoperate import VERDICTS
+from rcs.rollout.teleoperate import VERDICTS, go_on_from_hold
 from rcs.setups.make import make, resolve
 from rcs.sim.timed_world import TimedWorld
 from rcs.sim.world import World
-from rcs.teleop import InputDevice, Keyboard, Operator, Takeover
+from rcs.teleop import InputDevice, Keyboard, Operator
 from rcs.teleop.operator import notes_of
-from rcs.teleop.takeover import people_of
+from rcs.teleop.takeover import end_policies, people_of
 
 ACTOR = Note("actor", words=("page", "agent", "policy", "person"))
 """Who acted in a row: the person at the page, or an agent; of a takeover, its policy or its person."""
@@ -255,7 +255,7 @@ class Session(Closing):
             if self._is_fault:
                 self.env.recover()
             self.reset()
-        elif event == "takeover" and not isinstance(self.agent, Takeover):
+        elif event == "takeover" and not people_of(self.agent):  # they have a policy to take over, or none
             self.let_agent(self.agent is None)
         elif event in ("start", "discard", *VERDICTS):
             self._judge(event)
@@ -263,12 +263,11 @@ class Session(Closing):
     def release(self) -> None:
         """Have all robots brake and stay, because the page that led is gone; an agent acts no longer.
 
-        A person at an input device still leads, and has the robots where a policy acted.
+        A person at an input device still leads, and has the robots of a policy that may be taken over.
         """
         pace = None if people_of(self.agent) else self._take_off_agent()
         self._brake()
-        if isinstance(self.agent, Takeover) and self.agent.actor == "policy":
-            self.agent.give_to_person(self.observation, self.info)
+        end_policies(self.agent, self.observation, self.info)
         if pace is not None:
             pace.agent.close()
 
@@ -311,26 +310,26 @@ class Session(Closing):
                 raise WrongOrder("The episode is over; reset before the next take.")
             takes.start()
         elif event == "discard":
-            takes.discard()
-            self._go_on_after_take(is_kept=False)
+            self._end_take(takes, None, is_kept=False)
         else:
             self._end_take(takes, VERDICTS[event] if event in VERDICTS else verdict_of(self.info))
 
-    def _end_take(self, takes: Takes, success: bool | None) -> None:
-        self.env.hold()  # writing takes longer than a period
-        takes.finish(success)
-        self._go_on_after_take(is_kept=True)
-
-    def _go_on_after_take(self, *, is_kept: bool) -> None:
-        """Begin the next episode, or the same again; real robots stay where they are."""
+    def _end_take(self, takes: Takes, success: bool | None, *, is_kept: bool = True) -> None:
+        """End a take, and begin the next episode, or the same again; real robots stay where they are."""
+        if takes.is_recording or (takes.now is not None and not is_kept):  # otherwise there is nothing to end
+            self.env.hold()  # writing takes longer than a period
+        takes.finish(success) if is_kept else takes.discard()
         if set(self.env.platform.values()) == {"simulation"}:
             self._begin(self.seed + is_kept, None)
         elif not self.is_over:
-            self.release()
-            if isinstance(self.agent, Takeover):
-                self.agent.give_to_person(self.observation, self.info)
-            elif self._pace is not None:
-                self._pace.reset(self.observation, self.info)
+            self._ended = None
+            for guide in self.guides.values():
+                guide.reset(self.observation)
+                guide.keep_opening(self.info)
+            try:
+                self.release()
+            finally:  # also if an agent cannot be closed
+                self.info = go_on_from_hold(self._pace, self.observation, self.info)
 
     def advance(self) -> bool:
         """Make a step if the session is playing and the episode not over; return whether one was made."""
