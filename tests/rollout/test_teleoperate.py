@@ -30,11 +30,12 @@ class Asking(Agent):
     def __init__(self, env: rcs.envs.Env, requests: Mapping[int, Event]) -> None:
         (robot,) = env.robots.values()
         self.guide, self.requests = Guide(env, robot), dict(requests)
-        self.steps = self.resets = 0
+        self.steps = 0
+        self.told: list[str] = []
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         self.guide.reset(observation)
-        self.resets += 1
+        self.told.append(info["instruction"])
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         self.steps += 1
@@ -92,8 +93,20 @@ def test_takes_are_begun_judged_and_discarded_by_events(make: Make, tmp_path: Pa
     assert [(one.outcome or {})["loop"]["steps"] for one in episodes] == [7, 8, 8]
     # A discarded take is followed by the same episode again, one that is kept by the next.
     assert loop.seed == 7 + 3
-    assert loop.agent.resets == 1 + 4  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]
+    assert len(loop.agent.told) == 1 + 4  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]
     assert "Take 000000: success" in told[1]
+
+
+@pytest.mark.parametrize("is_real", [False, True])
+def test_a_policy_is_told_the_instruction_of_the_next_take(make: Make, is_real: bool) -> None:
+    setup: dict[str, Any] = {"task": "Free", "hardware": "fake"} if is_real else {}
+    loop, _ = make(
+        {3: "start", 6: "success", 9: "start", 12: "discard", 15: "stop"}, instructions=("put it there", "now here"),
+        **setup,
+    )  # fmt: skip
+    loop.run()
+    told = loop.agent.told  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]
+    assert told == ["put it there", "now here", "now here"]
 
 
 def test_words_and_vectors_beside_the_steps_are_recorded_and_when_targets_were_sent(make: Make, tmp_path: Path) -> None:
@@ -117,6 +130,20 @@ def test_an_event_that_makes_no_sense_is_told_and_changes_nothing(make: Make, tm
     assert kept(tmp_path) == []
     assert loop.takes is not None
     assert loop.takes.ended == []
+
+
+def test_a_policy_that_is_lost_is_told_once(make: Make) -> None:
+    class Lost(Asking):
+        @property
+        def failure_message(self) -> str | None:
+            return "The server is gone." if 3 <= self.steps < 6 or self.steps > 8 else None
+
+    loop, told = make({})
+    loop.agent.__class__ = Lost
+    _begun(loop)
+    for _ in range(10):
+        loop.advance()
+    assert told == ["The server is gone."] * 2
 
 
 def test_a_reset_begins_the_next_episode(make: Make) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ from rcs_data import Dataset
 
 import rcs
 from rcs.agents import Agent, PickExpert
+from rcs.errors import RcsError
 from rcs.spatial import distance
 from rcs.teleop import HandReading, Operator, Takeover
 from tests.teleop.scripted_device import ScriptedDevice, at, held
@@ -85,14 +88,75 @@ def test_taking_over_and_giving_back_at_random_steps_makes_no_jump(tmp_path: Pat
     assert (episode.column("notes/actor")[0]) == 0
 
 
-def test_the_policy_finishes_what_a_person_has_interrupted() -> None:
-    def script(t: float) -> HandReading:
-        return held(at(0.0, 0.0, 1.0), *(("takeover",) if 0.5 < t < 0.55 or 1.0 < t < 1.05 else ()))
+def twice(t: float) -> HandReading:
+    """A hand that takes the robot over, and gives it back."""
+    return held(at(0.0, 0.0, 1.0), *(("takeover",) if 0.5 < t < 0.55 or 1.0 < t < 1.05 else ()))
 
+
+@contextmanager
+def interrupted(policy: Callable[[rcs.envs.Env], Agent]) -> Iterator[tuple[rcs.envs.Env, Takeover]]:
+    """A policy that a person takes the robot from, and gives it back to."""
     with rcs.make("PickCuboid", relative="absolute", frequency=30.0, max_episode_steps=None) as env:
         world = env.simulation.world
-        device = ScriptedDevice(script, clock=lambda: float(world.time))
-        agent = Takeover(env, Slow(env), Operator(env, device, clock=lambda: float(world.time), has_thread=False))
-        result = rcs.run_episode(env, agent, seed=3, max_steps=600)
-        assert result.success
+        device = ScriptedDevice(twice, clock=lambda: float(world.time))
+        agent = Takeover(env, policy(env), Operator(env, device, clock=lambda: float(world.time), has_thread=False))
+        yield env, agent
         agent.close()
+
+
+def test_the_policy_finishes_what_a_person_has_interrupted() -> None:
+    with interrupted(Slow) as (env, agent):
+        assert rcs.run_episode(env, agent, seed=3, max_steps=600).success
+
+
+def test_a_policy_that_gets_the_robot_back_is_told_again_what_to_do() -> None:
+    told: list[str] = []
+
+    class Told(Slow):
+        def reset(self, observation: Any, info: Any) -> None:
+            told.append(info["instruction"])
+            super().reset(observation, info)
+
+    with interrupted(Told) as (env, agent):
+        observation, info = env.reset(seed=3)
+        agent.reset(observation, info)
+        for _ in range(45):
+            observation, *_, info = env.step(agent.act(observation, info))
+        assert told == [env.instruction] * 2
+        assert env.instruction
+
+
+def test_a_policy_that_cannot_begin_again_leaves_the_robot_to_the_person() -> None:
+    class Gone(Slow):
+        is_gone = False
+
+        def reset(self, observation: Any, info: Any) -> None:
+            if self.is_gone:
+                raise RcsError("Nobody answers.")
+            super().reset(observation, info)
+
+    with interrupted(Gone) as (env, agent):
+        observation, info = env.reset(seed=3)
+        agent.reset(observation, info)
+        assert agent.failure_message is None
+        assert not agent.is_lost
+        agent._pace.agent.is_gone = True  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]
+        for _ in range(45):
+            observation, *_, info = env.step(agent.act(observation, info))
+        assert agent.actor == "person"
+        assert agent.failure_message == "RcsError: Nobody answers. The person has the robots."
+        assert agent.is_lost
+        agent.reset(observation, info)
+        assert agent.actor == "person"
+
+
+def test_what_is_known_of_a_policy_is_known_of_one_that_a_person_may_take_over() -> None:
+    class Served(Slow):
+        is_lost = True
+        weights = "aa"
+        latencies = (0.1, 0.2)
+        failure_message = "The server is gone."
+
+    with interrupted(Served) as (_, agent):
+        assert (agent.is_lost, agent.weights, list(agent.latencies)) == (True, "aa", [0.1, 0.2])
+        assert agent.failure_message == "The server is gone. The person may take over."

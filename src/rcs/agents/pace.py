@@ -28,13 +28,14 @@ class Pace:
         """The agent."""
         self.has_decided = False
         """Whether the last action was a decision, not a repetition."""
-        self._every, self._steps = _steps_per_decision(env, agent), 0
+        self._env, self._every, self._steps = env, _steps_per_decision(env, agent), 0
         self._action: Action = {}
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Have the agent begin with an observation; it decides next."""
+        """Have the agent begin with an observation, also in mid-episode; it decides next."""
         self._steps = 0
-        self.agent.reset(observation, info)
+        # The info of a step, unlike that of a reset, has no instruction.
+        self.agent.reset(observation, {"instruction": self._env.instruction, **info})
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Return the agent's action for the next step."""

@@ -100,6 +100,18 @@ def verdict_of(info: Mapping[str, Any]) -> bool | None:
     return None if success is None else bool(success)
 
 
+def instructed(info: Mapping[str, Any], takes: Takes | None, instructions: Sequence[str] = ()) -> Mapping[str, Any]:
+    """Return info with the instruction of the take under way, or of the next one, for a policy that begins.
+
+    Args:
+        info: Info of a step, or of a reset.
+        takes: The takes; None before the first.
+        instructions: Instructions of the takes, in turn; none for that of the environment.
+    """
+    instruction = next(iter(instructions), None) if takes is None else takes.instruction
+    return info if instruction is None else {**info, "instruction": instruction}
+
+
 class Takes:
     """Takes with a recorder, one after the other, with the figures of their loop."""
 
@@ -141,6 +153,11 @@ class Takes:
         """Number of takes that were kept."""
         return sum(take.is_kept for take in self.ended)
 
+    @property
+    def instruction(self) -> str | None:
+        """The instruction of the take under way, or of the next one; None for that of the environment."""
+        return self._instructions[self.kept % len(self._instructions)] if self._instructions else None
+
     def add(self, period: float, info: Mapping[str, Any]) -> None:
         """Count a step of the loop; see `LoopStatistics.add`."""
         if self.now is not None:
@@ -152,7 +169,7 @@ class Takes:
         Raises:
             WrongOrder: A take is under way.
         """
-        instruction = self._instructions[self.kept % len(self._instructions)] if self._instructions else None
+        instruction = self.instruction
         take = self._recorder.start(instruction)
         self._statistics, self._is_aborted = LoopStatistics(self._frequency), False
         if self._latency is not None:

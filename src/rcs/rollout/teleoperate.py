@@ -12,7 +12,7 @@ from rcs.envs.env import Env
 from rcs.envs.spaces import Observation
 from rcs.envs.step.judge import FAULT
 from rcs.errors import RcsError
-from rcs.rollout.takes import LoopStatistics, Takes, verdict_of
+from rcs.rollout.takes import LoopStatistics, Takes, instructed, verdict_of
 from rcs.teleop.takeover import end_policies, people_of
 
 VERDICTS: Mapping[Event, bool] = {"success": True, "failure": False}
@@ -60,13 +60,14 @@ class Teleoperation:
         self.observation: Observation = {}
         """The present observation."""
         self.info: Mapping[str, Any] = {}
-        """Info of the last step, or of the reset."""
+        """Info of the last step, or of the reset, with the instruction of the take."""
         self.is_over = True
         """Whether the episode is over, by a fault, so that only `reset` goes on."""
         self.is_ending = False
         """Whether the loop ends."""
         self._pace, self._report = Pace(env, agent), report
         self._ended: float | None = None
+        self._told: str | None = None
 
     @property
     def is_simulated(self) -> bool:
@@ -83,8 +84,8 @@ class Teleoperation:
             DeviceFault: A device is in its fault state.
         """
         seed = self.seed + 1 if seed is None else seed
-        self.observation, self.info = self.env.reset(seed=seed)
-        self.seed = seed
+        self.observation, info = self.env.reset(seed=seed)
+        self.info, self.seed = instructed(info, self.takes), seed
         self._pace.reset(self.observation, self.info)
         self.is_over, self._ended = False, None
 
@@ -107,6 +108,10 @@ class Teleoperation:
             time.sleep(1.0 / self.env.frequency)
         else:
             self._step(action)
+        message = self.agent.failure_message
+        if message and message != self._told:  # such as of a policy that is lost, while which the robot holds
+            self._report(message)
+        self._told = message
         for event in self.agent.events():
             self.obey(event)
 
@@ -126,7 +131,8 @@ class Teleoperation:
 
     def _step(self, action: Mapping[str, Any]) -> None:
         self.env.note(**self._pace.notes())
-        self.observation, _, terminated, truncated, self.info = self.env.step(action)
+        self.observation, _, terminated, truncated, info = self.env.step(action)
+        self.info = instructed(info, self.takes)
         now = time.monotonic()
         if self._ended is not None:
             self.statistics.add(now - self._ended, self.info)
@@ -178,7 +184,7 @@ class Teleoperation:
             self.begin(None if is_kept else self.seed)
         elif not self.is_over:
             self._ended = None
-            self.info = go_on_from_hold(self._pace, self.observation, self.info)
+            self.info = go_on_from_hold(self._pace, self.observation, instructed(self.info, self.takes))
 
 
 def go_on_from_hold(pace: Pace | None, observation: Observation, info: Mapping[str, Any]) -> dict[str, Any]:

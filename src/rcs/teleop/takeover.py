@@ -12,6 +12,7 @@ from rcs.envs.env import Env
 from rcs.envs.observer import Note
 from rcs.envs.spaces import Action, Observation
 from rcs.envs.step.stack import for_all
+from rcs.errors import RcsError
 from rcs.teleop.operator import Actor, Operator
 
 
@@ -20,7 +21,7 @@ class Takeover(Agent):
 
     The environment steps at the person's rate and the policy decides at its own. Neither way do the robots jump: a
     person's robots brake and stay until the clutch is pressed, and the policy begins anew with what it then observes.
-    The note `actor` says who acted in each row.
+    The note `actor` says who acted in each row. A policy that cannot begin leaves the robots to the person.
     """
 
     def __init__(self, env: Env, policy: Agent, operator: Operator, *, begins: Actor = "policy") -> None:
@@ -42,12 +43,13 @@ class Takeover(Agent):
         self._pace = Pace(env, policy)
         self._begins: Actor = begins
         self._events: list[Event] = []
+        self._refusal: str | None = None
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Begin an episode with whoever begins."""
         self.actor = self._begins
         self.operator.reset(observation, info)
-        self._pace.reset(observation, info)
+        self._begin_policy(observation, info)
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Return the action of whoever acts, after the person's requests."""
@@ -58,11 +60,22 @@ class Takeover(Agent):
         if events.count("takeover") % 2:
             if is_person:
                 self.actor = "policy"
-                self._pace.reset(observation, info)
+                if not self._begin_policy(observation, info):
+                    action = self.operator.act(observation, info)
             else:
                 self.give_to_person(observation, info)
                 action = self.operator.act(observation, info)
         return self._pace.act(observation, info) if self.actor == "policy" else action
+
+    def _begin_policy(self, observation: Observation, info: Mapping[str, Any]) -> bool:
+        """Have the policy begin, or the person act if it cannot; return whether it does."""
+        self._refusal = None
+        try:
+            self._pace.reset(observation, info)
+        except RcsError as err:
+            self._refusal = f"{type(err).__name__}: {err} The person has the robots."
+            self.give_to_person(observation, info)
+        return self._refusal is None
 
     def give_to_person(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Have the person act from where the robots are; arguments as of `Operator.take_over`."""
@@ -95,8 +108,24 @@ class Takeover(Agent):
 
     @property
     def failure_message(self) -> str | None:
-        """The policy's message about a problem."""
-        return self._pace.agent.failure_message
+        """Words on why the policy could not begin, or its message about a problem."""
+        words = self._pace.agent.failure_message
+        return self._refusal or (words and f"{words} The person may take over.")
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the policy could not begin, or the connection to it was lost in this episode."""
+        return self._refusal is not None or self._pace.agent.is_lost
+
+    @property
+    def weights(self) -> str | None:
+        """SHA-256 of the policy's weights; None if that is not known."""
+        return self._pace.agent.weights
+
+    @property
+    def latencies(self) -> Sequence[float]:
+        """How long each answer of the policy took in this episode [s]."""
+        return self._pace.agent.latencies
 
     def close(self) -> None:
         """Close both, also when one of them fails to. Closing twice is harmless."""

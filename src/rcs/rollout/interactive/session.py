@@ -23,7 +23,7 @@ from rcs.envs.spaces import FRAMES, JOINTS, RGB, Action, Observation
 from rcs.envs.step.judge import DIVERGED, FAULT
 from rcs.envs.step.stack import for_all
 from rcs.errors import DeviceFault, RcsError, WrongOrder
-from rcs.rollout.takes import LoopStatistics, Takes, verdict_of
+from rcs.rollout.takes import LoopStatistics, Takes, instructed, verdict_of
 from rcs.rollout.teleoperate import VERDICTS, go_on_from_hold
 from rcs.setups.make import make, resolve
 from rcs.sim.timed_world import TimedWorld
@@ -223,7 +223,8 @@ class Session(Closing):
             self.problem, self.is_over = f"{type(err).__name__}: {err}", True
             self._is_fault = isinstance(err, DeviceFault)
             return
-        self.observation, reward, terminated, truncated, self.info = step
+        self.observation, reward, terminated, truncated, info = step
+        self.info = instructed(info, self.takes, self._instructions)
         self._count()
         self.reward = float(reward)
         for guide in self.guides.values():
@@ -289,10 +290,8 @@ class Session(Closing):
 
     def _show_measured(self, mirror: TimedWorld) -> None:
         """Put the robots of the picture where they are measured."""
-        for name, arm in mirror.arms.items():
-            own = self.observation if len(mirror.arms) == 1 else self.observation[name]
-            arm.put(own[JOINTS])
-        mirror.world.refresh()
+        is_alone, seen = len(mirror.arms) == 1, self.observation
+        mirror.start(mirror.time, {name: (seen if is_alone else seen[name])[JOINTS] for name in mirror.arms})
 
     # --- Takes --------------------------------------------------------------------------------------------------------
 
@@ -366,8 +365,8 @@ class Session(Closing):
                 self.env.hold()
                 self.takes.finish(None)
             options = None if state is None or not np.isfinite(state).all() else {"state": state}
-            self.observation, self.info = self.env.reset(seed=seed, options=options)
-            self.seed = seed
+            self.observation, info = self.env.reset(seed=seed, options=options)
+            self.info, self.seed = instructed(info, self.takes, self._instructions), seed
             self.episodes += 1
             self._began = float(self.info["time"])
             if self._pace is not None:
