@@ -124,7 +124,7 @@ def test_words_and_vectors_beside_the_steps_are_recorded_and_when_targets_were_s
 
 
 def test_an_event_that_makes_no_sense_is_told_and_changes_nothing(make: Make, tmp_path: Path) -> None:
-    loop, told = make({2: "success", 3: "discard", 4: "engage", 5: "release", 6: "takeover", 8: "stop"})
+    loop, told = make({2: "success", 3: "discard", 6: "takeover", 8: "stop"})
     loop.run()
     assert told == ["There is no take; start one first."] * 2
     assert kept(tmp_path) == []

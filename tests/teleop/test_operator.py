@@ -120,6 +120,26 @@ def test_the_front_is_where_the_hand_points_at_the_button(lead: Lead) -> None:
     np.testing.assert_allclose(led.tcp[:3] - start[:3], (0.05, 0.0, 0.0), atol=1e-3)
 
 
+def test_the_front_that_one_hand_shows_is_that_of_both(lead: Lead) -> None:
+    left = (0.0, 0.0, np.sin(np.pi / 4), np.cos(np.pi / 4))
+
+    def script(t: float) -> dict[str, HandReading]:
+        way, clutch = 0.05 * np.clip(t - 0.5, 0.0, 1.0), ("clutch",) if t > 0.4 else ()
+        shows = ("front",) if 0.1 < t < 0.2 else ()
+        return {
+            "left": held(at(0.0, way, 1.0), *clutch),  # type: ignore[arg-type]
+            "right": held(at(0.0, way, 1.0, rotation=left), *shows, *clutch),  # type: ignore[arg-type]
+        }
+
+    led = lead(script, robot="dual_fr3", hands=("left", "right"))
+    led.run(0.4)
+    places = {name: guide.tcp_in_scene[:3] for name, guide in led.operator._guides.items()}
+    led.run(1.5)
+    for name, guide in led.operator._guides.items():
+        guide.see(led.observation)
+        np.testing.assert_allclose(guide.tcp_in_scene[:3] - places[name], (0.05, 0.0, 0.0), atol=2e-3)
+
+
 def test_the_tcp_turns_as_the_hand_about_the_axes_of_the_room(lead: Lead) -> None:
     def turning(t: float) -> np.ndarray:
         angle = 0.3 * min(t, 1.0)
@@ -143,7 +163,7 @@ def test_an_arm_with_five_joints_follows_the_place_of_the_hand(lead: Lead, robot
     np.testing.assert_allclose(led.tcp[:3] - start[:3], (0.03, 0.0, 0.03), atol=3e-3)
 
 
-# --- Velocities and leaders -------------------------------------------------------------------------------------------
+# --- Velocities -------------------------------------------------------------------------------------------------------
 
 
 def test_a_wanted_velocity_is_that_of_the_tcp_and_a_small_one_is_none(lead: Lead) -> None:
@@ -160,72 +180,6 @@ def test_a_wanted_velocity_is_that_of_the_tcp_and_a_small_one_is_none(lead: Lead
     assert np.abs(way[[0, 2]]).max() < 1e-3
     led.run(0.6)
     assert spread(led.run(0.5), led.tcp) < 2e-4
-
-
-def leader(joints: np.ndarray, *buttons: Any) -> HandReading:
-    return held(None, *buttons, joints=joints)
-
-
-@pytest.mark.parametrize(
-    ("apart", "catch_up", "engages"), [(0.15, False, True), (0.4, False, False), (0.4, True, True)]
-)
-def test_a_leader_begins_near_its_follower_or_lets_it_catch_up(
-    lead: Lead, apart: float, catch_up: bool, engages: bool
-) -> None:
-    goal: list[np.ndarray] = []
-    led = lead(
-        lambda t: leader(goal[0], *(("clutch",) if t > 0.3 else ())) if goal else None,
-        options=LeadOptions(catch_up=catch_up),
-    )
-    start = np.array(led.observation["joints"])
-    goal.append(start + [0.0, 0.0, 0.0, apart, 0.0, 0.0, 0.0])
-    led.run(4.0)
-    assert led.operator.states == {"right": "engaged" if engages else "released"}
-    assert ("0.40 rad from the follower" in led.operator.problem) is not engages
-    wanted = goal[0] if engages else start
-    np.testing.assert_allclose(led.observation["joints"], wanted, atol=5e-3)
-    speeds = np.linalg.norm(np.diff(np.array(led.places)[:, :3], axis=0), axis=1) * 30
-    assert speeds.max() < 0.26
-
-
-def test_a_leader_with_other_joints_never_engages_and_says_why(lead: Lead) -> None:
-    led = lead(lambda t: leader(np.zeros(6), *(("clutch",) if t > 0.3 else ())))
-    led.run(1.0)
-    assert "6 joints and the arm 7" in led.operator.problem
-    assert led.operator.states == {"right": "released"}
-
-
-def test_a_leader_without_a_clutch_engages_once_it_rests(lead: Lead) -> None:
-    home: list[np.ndarray] = []
-    led = lead(
-        lambda t: leader(home[0] + (0.1 * np.sin(9.0 * t) if t < 1.0 else 0.0)) if home else None, has_clutch=False
-    )
-    home.append(np.array(led.observation["joints"]))
-    led.run(1.8)
-    assert led.operator.states == {"right": "released"}
-    led.run(0.6)
-    assert led.operator.states == {"right": "engaged"}
-
-
-def test_a_leader_without_a_clutch_that_nobody_moves_does_not_engage_after_a_hold(lead: Lead) -> None:
-    home: list[np.ndarray] = []
-    off = [0.0]
-    led = lead(lambda t: leader(home[0] + off[0]) if home else None, has_clutch=False)
-    home.append(np.array(led.observation["joints"]))
-
-    def lose() -> None:
-        led.device.fate = "silent"
-        led.run(0.3)
-        led.device.fate = ""
-
-    for hold in (lambda: None, lose, lambda: led.operator.reset(led.observation, led.info)):
-        hold()
-        led.run(1.5)
-        assert led.operator.states == {"right": "released"}
-        assert led.operator.problem == "right: move the leader, then let it rest"
-        off[0] += 0.05
-        led.run(1.5)
-        assert led.operator.states == {"right": "engaged"}
 
 
 # --- Gripper ----------------------------------------------------------------------------------------------------------

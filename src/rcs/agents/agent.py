@@ -17,9 +17,9 @@ from rcs.errors import InvalidSetup
 _TRAINED, _SERVED = "rcs.rl.policy:TrainedPolicy", "rcs.policy.agent:ServedPolicy"
 """Classes that a path and an address stand for; by name, for their modules need packages that are not always there."""
 
-Event = Literal["engage", "release", "start", "success", "failure", "discard", "reset", "takeover", "stop"]
-"""Requests of a person besides motion: the clutch; a take that begins, or ends with a verdict or without a trace; the
-next episode; a policy's robot, or to give it back; the end."""
+Event = Literal["start", "success", "failure", "discard", "reset", "takeover", "stop"]
+"""Requests of a person besides motion: a take that begins, or ends with a verdict or without a trace; the next episode;
+a policy's robot, or to give it back; the end."""
 
 
 class Agent(ABC):

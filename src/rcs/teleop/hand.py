@@ -69,7 +69,7 @@ class Hand:
         self._options, self._period, self._has_clutch = options, period, has_clutch
         self._filter = PoseFilter(options.smoothing, options.quickness)
         self._hand_at = self._tcp_at = np.zeros(7)
-        self._is_catching_up = self._has_opening = False
+        self._is_catching_up = self._has_opening = self._has_turned = False
         self._calm_at, self._calm_since = np.zeros(0), np.inf
         self._step = options.speed * period, options.turn_speed * period
 
@@ -105,14 +105,13 @@ class Hand:
         self._update_clutch(hand, pressed, broken, now)
         if hand is not None and self.state != "held" and "gripper" in pressed:
             self.guide.opening = 0.0 if self.guide.opening >= 0.5 else 1.0
-        if hand is not None and hand.pose is not None and "front" in pressed:
-            self._face(hand.pose)
         if self.state == "engaged" and hand is not None:
-            if before != "engaged" or "clutch" in pressed or "front" in pressed:
+            if before != "engaged" or "clutch" in pressed or self._has_turned:
                 self._engage(hand, time, now)
             self._lead(hand, time, now)
         elif not self.guide.is_braking:
             self.guide.brake()
+        self._has_turned = False
         return self.guide.act(observation, info)
 
     # --- The clutch ---------------------------------------------------------------------------------------------------
@@ -222,6 +221,7 @@ class Hand:
     def _lead_joints(self, joints: NDArray[np.float64]) -> None:
         """Lead the arm to the joints of a leader, no faster than the TCP may be."""
         guide = self.guide
+        joints = np.clip(joints, guide.lower, guide.upper)  # beyond, the follower would never have caught up
         start = guide.target_joints
         if self._is_catching_up and np.abs(joints - start).max() <= MET:
             self._is_catching_up = False
@@ -237,8 +237,9 @@ class Hand:
         if self._has_opening:
             self.guide.opening = float(np.clip(opening, 0.0, 1.0))
 
-    def _face(self, pose: NDArray[np.float64]) -> None:
-        """Take where the hand points for the robot's front."""
+    def face(self, pose: NDArray[np.float64]) -> None:
+        """Take where a hand of the same person points for the robot's front; an engaged hand begins anew."""
+        self._has_turned = True
         pointing = compose(_rotation(pose), (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))[:3]
         if np.hypot(*pointing[:2]) > 0.2:  # a hand that points up or down points nowhere
             self.front = float(np.arctan2(pointing[1], pointing[0]))

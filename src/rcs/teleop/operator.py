@@ -171,14 +171,18 @@ class Operator(Agent):
         """Take the person's requests while another agent acts; return no action."""
         self._poll()
         self.hold("another agent acts")
-        self._tell_events(self.states)
+        self._take_requests()
         self.device.feedback(observation, {**info, "operator": self.states, "led": self._led})
         return {}
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Return the next action, from the newest reading."""
-        before = self.states
         now, news, reading = self._poll(), self.news, self.news.reading
+        for name, pressed in news.pressed.items():
+            shown = None if reading is None else reading.hands.get(name)
+            if "front" in pressed and shown is not None and shown.is_tracked and shown.pose is not None:
+                for hand in self._hands.values():  # whichever shows it, a person faces one front
+                    hand.face(shown.pose)
         actions: dict[str, Action] = {name: guide.act(observation, info) for name, guide in self._others.items()}
         for name, hand in self._hands.items():
             actions[self._led[name]] = hand.act(
@@ -190,7 +194,7 @@ class Operator(Agent):
                 time=0.0 if reading is None else reading.time,
                 now=now,
             )
-        self._tell_events(before)
+        self._take_requests()
         self.device.feedback(observation, {**info, "operator": self.states, "led": self._led})
         return actions if len(actions) > 1 else next(iter(actions.values()))
 
@@ -225,13 +229,10 @@ class Operator(Agent):
             self.hold(f"the loop was held up for {now - before:.1f} s; press the clutch anew")
         return now
 
-    def _tell_events(self, before: Mapping[str, State]) -> None:
+    def _take_requests(self) -> None:
         for buttons in (*self.news.pressed.values(), self.news.requests):
             requests: list[Event] = [REQUESTS[button] for button in buttons if button in REQUESTS]
             self._events += requests
-        for name, state in self.states.items():
-            if state != before[name] and "engaged" in (state, before[name]):
-                self._events.append("engage" if state == "engaged" else "release")
 
 
 def notes_of(hands: Iterable[str]) -> list[Note]:
