@@ -115,6 +115,14 @@ def test_requests_are_told_also_when_the_device_is_silent_or_the_hand_lost_right
         assert (news.reading is None) is (last is None)
 
 
+def test_a_hand_that_is_out_of_sight_makes_requests_and_one_that_was_not_there_makes_none() -> None:
+    unseen = HandReading(is_tracked=False)
+    _, news = fed(reading(0.0, unseen), reading(0.01, replace(unseen, buttons=frozenset({"takeover", "clutch"}))))
+    assert news[1].pressed == {"right": ["takeover"]}
+    _, news = fed(reading(0.0, replace(unseen, is_there=False)), reading(0.01, held(GOOD.pose, "start")))
+    assert not news[1].pressed.get("right")
+
+
 @pytest.mark.parametrize(("way", "leaps"), [(0.45, False), (0.55, True)])
 def test_a_leader_whose_joint_leaps_breaks(way: float, leaps: bool) -> None:
     _, news = fed(

@@ -59,7 +59,9 @@ def test_a_hand_has_its_buttons_and_the_opening_of_its_trigger() -> None:
     left = hand_of("left", decode(message(stick=-0.9)).hands["right"])
     assert left.buttons == {"takeover"}
     assert not hand_of("left", None).is_tracked
-    assert not hand_of("left", decode(message(pose=None)).hands["right"]).is_tracked
+    assert not hand_of("left", None).is_there
+    unseen = hand_of("left", decode(message(pose=None)).hands["right"])
+    assert (unseen.is_tracked, unseen.is_there) == (False, True)
 
 
 @pytest.mark.parametrize(

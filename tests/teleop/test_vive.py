@@ -64,6 +64,17 @@ def test_wands_are_hands_by_their_role_with_buttons() -> None:
     assert not hands_of([wand(LEFT)])["right"].is_tracked
 
 
+def test_a_press_of_the_touchpad_means_one_thing_wherever_the_thumb_slides() -> None:
+    presses: dict[int, Any] = {}
+
+    def buttons(*pads: tuple[float, float], is_pressed: bool = True) -> list[Any]:
+        return [hands_of([wand(RIGHT, PAD * is_pressed, pad=pad)], presses)["right"].buttons for pad in pads]
+
+    assert buttons((0, 0.9), (0.9, 0.2), (0, 0)) == [{"success"}] * 3
+    assert buttons((0.9, 0.2), is_pressed=False) == [frozenset()]
+    assert buttons((0.9, 0.2)) == [{"reset"}]
+
+
 def test_a_single_tracker_without_wands_is_the_right_hand() -> None:
     hand = hands_of([wand(TRACKER)])["right"]
     assert hand.is_tracked and hand.opening is None and hand.buttons == frozenset()

@@ -23,9 +23,9 @@ Button = Literal[
 """The meaning of a button that is held down.
 
 `clutch` couples the hand to the robot as long as it is held. `gripper` opens or closes at each press. `front` says that
-the person faces the robot's front as they point now. `start` begins a take, or ends it without a verdict; `success`,
-`failure` and `discard` end it with one; `reset` begins the next episode, `stop` ends the session, and `takeover` gives
-the robot from a policy to the person and back.
+the person faces the robot's front as this hand points now, for both hands. `start` begins a take, or ends it without a
+verdict; `success`, `failure` and `discard` end it with one; `reset` begins the next episode, `stop` ends the session,
+and `takeover` gives the robot from a policy to the person and back.
 """
 
 BUTTONS: tuple[Button, ...] = get_args(Button)
@@ -59,6 +59,8 @@ class HandReading:
     it is held."""
     is_tracked: bool = True
     """Whether the device knows where the hand is."""
+    is_there: bool = True
+    """Whether it knows the buttons, as also those of a controller that it does not see."""
 
 
 @dataclass(frozen=True, kw_only=True)

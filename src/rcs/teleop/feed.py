@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rcs_data.files.closing import Closing
 
-from rcs.teleop.device import BUTTONS, Button, HandReading, InputDevice, Reading
+from rcs.teleop.device import BUTTONS, OF_HANDS, Button, HandReading, InputDevice, Reading
 
 _log = logging.getLogger(__name__)
 
@@ -39,6 +39,9 @@ PATIENCE = 2.0
 """Longest time that `close` waits for the thread [s]."""
 
 SILENT = "no reading yet"
+
+REQUESTS = tuple(button for button in BUTTONS if button not in OF_HANDS)
+"""Buttons that count also while nobody knows where the hand is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,8 +186,9 @@ class Feed(Closing):
                     # The clutch has to be pressed after that.
                     self._pressed[name] = [button for button in self._pressed.get(name, ()) if button != "clutch"]
                 # Of the first reading, nobody knows since when its buttons are held, nor of one that was lost before.
-                if before is not None and before.is_tracked and hand.is_tracked:
-                    risen: list[Button] = [button for button in BUTTONS if button in hand.buttons - before.buttons]
+                if before is not None and before.is_there and hand.is_there:
+                    counting = BUTTONS if before.is_tracked and hand.is_tracked else REQUESTS
+                    risen: list[Button] = [button for button in counting if button in hand.buttons - before.buttons]
                     self._pressed.setdefault(name, []).extend(risen)
             if not is_fresh and last is not None:
                 self._broken.update(dict.fromkeys(reading.hands, f"silent for {reading.time - last.time:.2f} s"))

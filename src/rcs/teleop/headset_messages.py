@@ -69,7 +69,7 @@ def hand_of(name: str, message: HandMessage | None) -> HandReading:
         message: Message of the page about it; None for nothing.
     """
     if message is None:
-        return HandReading(is_tracked=False)
+        return HandReading(is_tracked=False, is_there=False)
     buttons: set[Button] = {meaning for bit, meaning in MEANINGS[name].items() if message.buttons >> bit & 1}
     if name == "left" and message.stick < PUSHED:
         buttons.add("takeover")

@@ -83,6 +83,7 @@ class Vive(InputDevice):
         self._listens_at = None if address is None else address_of(address, PORT)
         self._opened = Opened[Source]("Vive")
         self._instructions = ""
+        self._presses: dict[int, Button] = {}
 
     @property
     def instructions(self) -> str:
@@ -91,6 +92,7 @@ class Vive(InputDevice):
 
     def open(self) -> None:
         """Connect to SteamVR, or await the relay; faults as in `InputDevice.open`."""
+        self._presses.clear()
         if self._listens_at is None:
             self._opened.put(_SteamVr())
             return
@@ -108,7 +110,7 @@ class Vive(InputDevice):
             if news is None:
                 return None
             at, devices = news
-            return Reading(time=at, hands=hands_of(devices), counts=dict(source.counts))
+            return Reading(time=at, hands=hands_of(devices, self._presses), counts=dict(source.counts))
 
     def close(self) -> None:
         """Disconnect."""
@@ -204,26 +206,34 @@ class _Relay:
             self._socket.sendto(packet, peer)
 
 
-def hands_of(devices: Sequence[Tracked]) -> dict[str, HandReading]:
-    """Return the hands of what is tracked: wands by their role; without any, the only tracker is the right hand."""
+def hands_of(devices: Sequence[Tracked], presses: dict[int, Button] | None = None) -> dict[str, HandReading]:
+    """Return the hands of what is tracked: wands by their role; without any, the only tracker is the right hand.
+
+    Args:
+        devices: Whatever is tracked.
+        presses: Meanings of touchpads that are held down, by the wand's role, kept up to date; None to keep none.
+    """
+    presses = {} if presses is None else presses
+    gone = HandReading(is_tracked=False, is_there=False)
     found = {one.hand: one for one in devices if one.hand in (LEFT, RIGHT)}
     trackers = [one for one in devices if one.hand == TRACKER]
     if not found and len(trackers) == 1:
-        return {"left": HandReading(is_tracked=False), "right": _hand_of(trackers[0])}
-    return {"left": _hand_of(found.get(LEFT)), "right": _hand_of(found.get(RIGHT))}
+        return {"left": gone, "right": _hand_of(trackers[0], presses)}
+    sides = {"left": found.get(LEFT), "right": found.get(RIGHT)}
+    return {name: gone if one is None else _hand_of(one, presses) for name, one in sides.items()}
 
 
-def _hand_of(one: Tracked | None) -> HandReading:
-    if one is None:
-        return HandReading(is_tracked=False)
+def _hand_of(one: Tracked, presses: dict[int, Button]) -> HandReading:
     pose = pose_of(one.matrix) if one.is_tracked else None
     buttons: set[Button] = set()
     if one.buttons >> GRIP & 1:
         buttons.add("clutch")
     if one.buttons >> MENU & 1:
         buttons.add("start")
-    if one.buttons >> PAD & 1:
-        buttons.add(_pressed(*one.pad))
+    if one.buttons >> PAD & 1:  # it means what it began as, wherever the thumb slides
+        buttons.add(presses.setdefault(one.hand, _pressed(*one.pad)))
+    else:
+        presses.pop(one.hand, None)
     is_pulled = one.hand != TRACKER and 0.0 <= one.trigger <= 1.0
     return HandReading(
         pose=pose,
