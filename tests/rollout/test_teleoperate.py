@@ -261,6 +261,29 @@ def test_after_a_take_a_real_robot_stays_whatever_its_actions_count_from(tmp_pat
         person.close()
 
 
+def test_what_a_real_gripper_holds_does_not_fall_at_a_reset(monkeypatch: pytest.MonkeyPatch) -> None:
+    pressed: set[Any] = set()
+    with rcs.make("Free", hardware="fake", binary_gripper=False, max_episode_steps=None) as env:
+        person = Operator(env, ScriptedDevice(lambda t: held(LEVEL, *pressed)), has_thread=False)
+        loop = _begun(Teleoperation(env, person))
+        for button in ((), ("gripper",)):
+            pressed.update(button)
+            for _ in range(5):
+                loop.advance()
+        assert loop.info["target"]["gripper"] == [0.0]
+        reset = env.reset
+
+        def around(**options: Any) -> Any:
+            observation, info = reset(**options)
+            return {**observation, "gripper": np.array([0.4], np.float32)}, info  # it has met something
+
+        monkeypatch.setattr(env, "reset", around)
+        loop.obey("reset")
+        loop.advance()
+        assert loop.info["target"]["gripper"] == [0.0]
+        person.close()
+
+
 class Turning(Agent):
     """Turns the first joint of the right robot on and on."""
 

@@ -83,6 +83,10 @@ class Guide:
         self._base = np.array([*base.translation, *base.quaternion])
         self.has_opening = robot.end_effector is not None
         """True if there is a gripper or a hand to open and close."""
+        effector = robot.end_effector
+        origin = None if effector is None else env.platform.get(f"{robot.name}/{effector.name}")
+        self._sent_to = None if origin in ("simulation", None) else env.stack
+        """Knows the last command to a real gripper or hand, which an episode leaves alone."""
         self.opening = 1.0
         """Wanted opening, 0 closed … 1 open."""
         self.is_out_of_reach = False
@@ -96,7 +100,7 @@ class Guide:
         self._velocity, self._turn_rate = np.zeros(3), 0.0
 
     def reset(self, observation: Observation) -> None:
-        """Stay at the pose and the opening of an observation.
+        """Stay at the pose and the opening of an observation; a real gripper keeps the last command to it.
 
         Args:
             observation: The first one of an episode, or the last one.
@@ -108,6 +112,8 @@ class Guide:
         self._joints, self._joint_goal, self._braking = np.array(own[JOINTS]), None, None
         self._velocity, self._turn_rate = np.zeros(3), 0.0
         self.opening = float(own[GRIPPER][0]) if GRIPPER in own else 1.0
+        if self._sent_to is not None:  # what it holds keeps it from closing all the way, and would fall
+            self.keep_opening({"target": self._sent_to.executed})
         self.is_out_of_reach = False
 
     def keep_opening(self, info: Mapping[str, Any]) -> None:

@@ -153,10 +153,15 @@ class Operator(Agent):
         self._polled = None
         for guide in self._guides.values():
             guide.reset(observation)
-            guide.keep_opening(info)
+        self.keep_opening(info)
         self.hold("press the clutch to lead")
         for guide in self._others.values():
             guide.brake()
+
+    def keep_opening(self, info: Mapping[str, Any]) -> None:
+        """Want the openings that a step commanded, as `Guide.keep_opening` does."""
+        for guide in self._guides.values():
+            guide.keep_opening(info)
 
     def hold(self, why: str) -> None:
         """Have all robots brake and stay, until the clutch was released and pressed.

@@ -134,6 +134,8 @@ def test_after_a_fault_a_recovery_goes_on_where_everything_is(monkeypatch: pytes
         session.guides["fr3"].lead_joints_to(session.guides["fr3"].joints + 0.2)
         for _ in range(40):
             session.step()
+        session.guides["fr3"].opening = 0.0  # it has begun to close when the fault comes
+        session.step()
         with monkeypatch.context() as broken:
             broken.setattr(session.env.stack, "faults", lambda: {"fr3": "collision at joint 4"})
             session.step()
@@ -142,6 +144,8 @@ def test_after_a_fault_a_recovery_goes_on_where_everything_is(monkeypatch: pytes
         state, place = session.world.states().copy(), session.observation["joints"]
         session.recover()
         assert session.verdict == "running"
+        assert session.guides["fr3"].opening == 0.0
+        assert session.observation["gripper"][0] > 0.3
         np.testing.assert_array_equal(session.world.states(), state)
         for _ in range(15):
             session.step()

@@ -358,7 +358,7 @@ class Session(Closing):
         self.is_over = True
         """Whether the episode is over, so that only `reset` and `recover` go on."""
         self.reward, self.total, self.steps = 0.0, 0.0, 0
-        self.info = {}
+        before, self.info = self.info, {}
         self.statistics, self._ended = LoopStatistics(self.env.frequency), None
         try:
             if self.takes is not None and self.takes.is_recording:
@@ -376,6 +376,9 @@ class Session(Closing):
             raise
         for guide in self.guides.values():
             guide.reset(self.observation)
+        if state is not None:  # it goes on, and what is held must not fall
+            for leader in (*self.guides.values(), *people_of(self.agent)):
+                leader.keep_opening(before)
         if self._mirror is not None:
             self._show_measured(self._mirror)
         self.is_over = False
