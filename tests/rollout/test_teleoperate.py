@@ -325,15 +325,6 @@ def test_on_real_devices_a_policy_beside_a_person_rests_after_a_take_until_a_res
         both.close()
 
 
-def test_the_latency_of_a_take_is_its_own_and_that_of_the_session_is_told() -> None:
-    latency = Latency()
-    latency.commands = [0.1]
-    latency.begin_take()
-    latency.commands.append(0.02)
-    assert latency.to_json()["command"] == {"count": 1, "median": 0.02, "p99": 0.02}
-    assert str(latency) == "event to command: median 60.0 ms, p99 99.2 ms (2)"
-
-
 def test_the_figures_of_a_loop_are_those_of_its_periods() -> None:
     statistics = LoopStatistics(50.0)
     for period, late in ((0.02, 0.0), (0.02, 0.0), (0.04, 0.02)):

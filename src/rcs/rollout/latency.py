@@ -60,7 +60,8 @@ class Latency(Observer):
 
     def on_step(self, transition: Transition) -> None:
         """Take a step."""
-        sampled, sent = transition.notes.get("input_time"), transition.command_time
+        is_led = transition.notes.get("actor") != "policy"  # meanwhile, readings lead to no command
+        sampled, sent = transition.notes.get("input_time") if is_led else None, transition.command_time
         if sampled is not None and sent is not None and sampled > self._last_input:
             self.commands.append(sent - sampled)
             self._last_input = sampled
