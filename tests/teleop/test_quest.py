@@ -102,6 +102,20 @@ def test_frames_that_were_held_up_have_their_true_age(quest: Quest) -> None:
         assert time.monotonic() - readings[-1].time > 0.4
 
 
+def test_pictures_that_nobody_takes_keep_no_frame_back(quest: Quest) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)  # the kernel has room for one
+    large = {"frames": {f"camera{at}": {"rgb": noise} for at in range(8)}}
+    with stream(quest) as page:
+        page.send(frame(0, 0.0))
+        next_of(quest)
+        end = time.monotonic() + 4.0
+        while time.monotonic() < end:  # the page takes nothing any more once its queue is full
+            quest.feedback(large, {})
+            time.sleep(0.05)
+        page.send(frame(1, 4.0))
+        next_of(quest)
+
+
 def test_what_makes_no_sense_is_left_out_and_counted(quest: Quest) -> None:
     with stream(quest) as page:
         page.send(frame(5, 1.0))

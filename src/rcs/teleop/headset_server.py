@@ -6,12 +6,15 @@ Threads: one accepts, one per connection serves; the newest frames wait in a que
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hmac
 import json
 import logging
 import queue
 import socket
 import ssl
+import sys
+import termios
 import threading
 import time
 from collections import Counter
@@ -34,6 +37,10 @@ SILENT = 2.0
 """Time after which a silent headset gives its place to another [s]."""
 WAITING_FRAMES = 32
 """Most frames that wait to be read; older ones are dropped."""
+BUFFER = 1 << 20
+"""Room for what the network has not taken yet, such as a picture [bytes]: until there is, nothing is read either."""
+KEPT_BACK = 1 << 16
+"""What the network has not taken yet from which on it is too slow for another picture [bytes]."""
 PEERS = 16
 """Most connections at a time."""
 TLS = b"\x16"
@@ -114,6 +121,18 @@ class HeadsetServer:
             except (self._closed, OSError):
                 return  # it is gone; what it last said becomes stale
 
+    @property
+    def is_keeping_up(self) -> bool:
+        """Whether the network takes what is sent; while a message waits for it, what the headset says is not read."""
+        headset = self._headset
+        if headset is None:
+            return False
+        try:
+            waiting = fcntl.ioctl(headset.socket, termios.TIOCOUTQ, bytes(4))
+        except (OSError, ValueError):  # it is gone
+            return False
+        return int.from_bytes(waiting, sys.byteorder) < KEPT_BACK
+
     def close(self) -> None:
         """End all connections."""
         self._is_closing.set()
@@ -184,6 +203,7 @@ class HeadsetServer:
         with self._place:
             if self._headset is not None and time.monotonic() < self._heard + SILENT:
                 return "Another headset leads; close its page first."
+            connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
             former, self._headset = self._headset, connection
             self._heard = time.monotonic()
             self.sessions += 1

@@ -14,12 +14,12 @@ import simplejpeg
 from rcs.background_thread import BackgroundThread
 from rcs.envs.spaces import FRAMES, RGB, Observation
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.hardware.device_clock import DeviceClock
 from rcs.teleop import credentials
 from rcs.teleop.device import POLL, InputDevice, Reading
 from rcs.teleop.headset_messages import FrameMessage, hand_of
 from rcs.teleop.headset_server import HeadsetServer
 from rcs.teleop.opened import Opened
+from rcs.teleop.waking_clock import WakingClock
 
 PORT = 8443
 PICTURES = 15.0
@@ -47,7 +47,7 @@ class Quest(InputDevice):
         """
         self._host, self._port = address_of(address, PORT)
         self._opened = Opened[HeadsetServer]("page for headsets")
-        self._clock, self._session = DeviceClock(), 0
+        self._clock, self._session = WakingClock(), 0
         self._shown: Feedback | None = None
         self.url = ""
         """Address to open in the headset, with the code; empty while closed."""
@@ -74,11 +74,11 @@ class Quest(InputDevice):
             except queue.Empty:
                 return None
             if server.sessions != self._session:
-                self._clock, self._session = DeviceClock(), server.sessions
+                self._clock, self._session = WakingClock(), server.sessions
             try:
                 at = self._clock.host_time(1e-3 * frame.time, arrived)
             except DeviceFault:  # the headset was asleep
-                self._clock = DeviceClock()
+                self._clock = WakingClock()
                 server.counts["clock jumped"] += 1
                 return None
             return reading_of(frame, at - 0.5e-3 * frame.round_trip, server.counts)
@@ -100,7 +100,7 @@ class Quest(InputDevice):
 
 
 class Feedback:
-    """Sends pictures and states from a thread of its own: a slow network delays nobody else."""
+    """Sends pictures and states from its own thread; a slow network gets fewer pictures, and delays nobody else."""
 
     def __init__(self, server: HeadsetServer) -> None:
         """Begin.
@@ -133,7 +133,7 @@ class Feedback:
         observation, info = newest
         self._server.send(json.dumps({"states": dict(info.get("operator", {}))}))
         for name, frame in observation.get(FRAMES, {}).items():
-            if RGB in frame:
+            if RGB in frame and self._server.is_keeping_up:
                 rgb = np.ascontiguousarray(frame[RGB])
                 label = name.encode()[:255]
                 picture = simplejpeg.encode_jpeg(rgb, quality=QUALITY, colorspace="RGB")

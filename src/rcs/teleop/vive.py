@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.extras import package_of
-from rcs.hardware.device_clock import DeviceClock
 from rcs.spatial import matrix_to_tquat
 from rcs.teleop import credentials
 from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Reading
@@ -37,6 +36,7 @@ from rcs.teleop.vive_relay import (
     tracked,
     unpack,
 )
+from rcs.teleop.waking_clock import WakingClock
 
 PERIOD = 0.008
 """Time between two readings of this machine's SteamVR [s]."""
@@ -163,7 +163,7 @@ class _Relay:
         self._socket.setblocking(False)
         self.port: int = self._socket.getsockname()[1]
         self._session, self._number, self._sent = secrets.token_bytes(8), 0, -math.inf
-        self._clock = DeviceClock()
+        self._clock = WakingClock()
 
     def next(self) -> tuple[float, Sequence[Tracked]] | None:
         end = time.monotonic() + POLL
@@ -187,7 +187,7 @@ class _Relay:
                 try:
                     return self._clock.host_time(at, arrived), devices
                 except DeviceFault:  # the other machine was asleep
-                    self._clock = DeviceClock()
+                    self._clock = WakingClock()
                     self.counts["clock jumped"] += 1
         return None
 
@@ -197,7 +197,7 @@ class _Relay:
     def _welcome(self, nonce: bytes, peer: Any) -> None:
         """Begin a session anew; packets of all others, such as recorded ones, are none of it."""
         self._session, self._number, self._sent = secrets.token_bytes(8), 0, -math.inf
-        self._clock = DeviceClock()
+        self._clock = WakingClock()
         number = int.from_bytes(nonce[:4], "little")
         self._send(pack(WELCOME, self._session, number, 0.0, [], self._code), peer)
 

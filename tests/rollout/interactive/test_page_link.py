@@ -144,6 +144,25 @@ def test_keys_of_a_second_page_lead_nothing_until_the_first_is_gone(view: Browse
     assert view.leader == 8
 
 
+def test_keys_that_were_pressed_on_a_page_that_only_showed_are_not_meant(view: BrowserView) -> None:
+    give(view, "Keys lead", "fr3")
+    for _ in range(3):
+        hear(view, 8, keys=("=",))
+        hear(view, 8)
+        update(view)
+    hear(view, 7, is_seen=False)
+    view.update()
+    assert view.leader is None
+    hear(view, 8)
+    view.submit(lambda: None, 8)
+    for _ in range(20):
+        hear(view, 8)
+        time.sleep(0.005)
+        view.update()
+    assert view.leader == 8
+    assert "0.10 m/s" in words(view)
+
+
 def test_a_page_that_is_too_slow_to_be_heard_can_still_pause(view: BrowserView) -> None:
     hear(view, 7)
     time.sleep(VALID_FOR)
@@ -312,6 +331,17 @@ def test_keys_in_a_browser_lead_until_they_are_released_or_the_page_is_hidden_or
             page.until(lambda: operator.states["right"] != "engaged")
             assert way_after_braking(view) < 1e-3
             chromium.run(HIDE.replace("hidden", "visible"))
+        page.lead("a")
+        chromium.run("window.dispatchEvent(new Event('blur'))")
+        page.until(lambda: operator.states["right"] != "engaged")
+        page.go_on(0.5)
+        start = place(view)
+        for _ in range(5):  # the key is still down, and repeats
+            chromium.call("Input.dispatchKeyEvent", type="keyDown", key="a", code="KeyA", autoRepeat=True)
+            page.go_on(0.1)
+        assert operator.states["right"] != "engaged"
+        assert np.linalg.norm(place(view) - start) < 1e-3
+        page.key("keyUp", "a")
         page.lead("d")
         page.key("keyUp", "d")
         chromium.run("document.body.innerHTML = '<input id=words>'; document.getElementById('words').focus()")

@@ -27,7 +27,7 @@ function onKey(event) {
   if (!isLeading || !name || (isDown && isTyping(event.target))) return;
   event.preventDefault(); // neither the view nor a button that has the focus is meant
   event.stopImmediatePropagation();
-  if (held.has(name) === isDown) return;
+  if (event.repeat || held.has(name) === isDown) return; // one that was let go of has to be pressed anew
   isDown ? held.add(name) : held.delete(name);
   say();
 }

@@ -23,8 +23,8 @@ from rcs_data.files.closing import Closing
 
 from rcs.errors import DeviceFault
 from rcs.extras import package_of
-from rcs.hardware.device_clock import DeviceClock
 from rcs.teleop.keyboard import FASTER, MOTIONS, SLOWER
+from rcs.teleop.waking_clock import WakingClock
 
 PATH = "/link"
 """Where pages reach it."""
@@ -60,7 +60,7 @@ _decoder = msgspec.json.Decoder(Beat)
 @dataclass
 class _Page:
     token: str
-    clock: DeviceClock = field(default_factory=DeviceClock)
+    clock: WakingClock = field(default_factory=WakingClock)
     time: float = -math.inf
     """When it last spoke [s, `time.monotonic()`]."""
     is_seen: bool = False
@@ -188,11 +188,11 @@ class PageLink(Closing):
             try:
                 at = own.clock.host_time(1e-3 * beat.time, arrived)
             except DeviceFault:  # the computer of the page was asleep
-                own.clock = DeviceClock()
+                own.clock = WakingClock()
                 return
             risen = sorted(held - own.held)
             own.time, own.is_seen, own.held = at, beat.is_seen, held
-            own.pressed += risen
+            own.pressed = [*(own.pressed if page == self.leader else ()), *risen]  # another's asks for the lead
             self._news.notify_all()
         if risen:
             self._on_keys(page)
