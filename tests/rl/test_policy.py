@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.agents import agent_for
+from rcs.agents import Pace, agent_for
 from rcs.errors import CorruptCheckpoint, InvalidSetup
 from rcs.rollout.batch import run_batch
 from rcs.rollout.episode import run_episode
@@ -128,6 +128,28 @@ def test_an_environment_in_which_actions_mean_something_else_is_refused(
 ) -> None:
     with rcs.make(replace(small.training().setup, **changes)) as env, pytest.raises(InvalidSetup, match=words):
         agent_for(env, str(runs(small, "ppo")))
+
+
+def test_where_steps_are_more_frequent_it_decides_at_the_rate_of_its_training(small: Any, runs: Any) -> None:
+    from rcs.rl.checkpoint import find_checkpoint
+    from rcs.rl.policy import PolicyAgent
+
+    checkpoint = find_checkpoint(runs(small, "ppo"))
+    setup = replace(checkpoint.training.setup, relative="absolute")
+    absolute = replace(checkpoint, training=replace(checkpoint.training, setup=setup))
+    with rcs.make(replace(setup, frequency=90.0)) as env:
+        pace = Pace(env, PolicyAgent.load(absolute, env))
+        observation, info = env.reset(seed=0)
+        pace.reset(observation, info)
+        decided = []
+        for _ in range(4):
+            pace.act(observation, info)
+            decided.append(pace.has_decided)
+        assert decided == [True, False, False, True]
+    with rcs.make(replace(checkpoint.training.setup, frequency=90.0)) as env:
+        agent = PolicyAgent.load(checkpoint, env)
+        with pytest.raises(InvalidSetup, match="would add up"):
+            Pace(env, agent)
 
 
 def test_an_environment_without_what_it_observes_is_refused(small: Any, runs: Any) -> None:

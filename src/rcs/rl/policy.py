@@ -32,14 +32,23 @@ class PolicyAgent(Agent):
     one row in their last bits, and an episode would end otherwise than alone.
     """
 
-    def __init__(self, mean: Callable[[Any], Any], layout: FlatLayout, weights: str | None = None) -> None:
+    def __init__(
+        self,
+        mean: Callable[[Any], Any],
+        layout: FlatLayout,
+        weights: str | None = None,
+        *,
+        rate: float | None = None,
+    ) -> None:
         """Take a policy.
 
         Args:
             mean: Returns the flat actions for flat observations, both as tensors on the CPU with a leading axis.
             layout: The layout of its vectors.
             weights: SHA-256 of the file of its weights; None while it is trained.
+            rate: Rate of its decisions [Hz]; None for once per step.
         """
+        self.rate = rate
         self._mean = mean
         self._weights = weights
         self._torch = package_of("rl", "torch")
@@ -57,15 +66,18 @@ class PolicyAgent(Agent):
         Raises:
             MissingDependency: torch or Stable-Baselines3 is not installed.
             InvalidSetup: There is no checkpoint, another version of this program wrote it, or the environment has
-                another robot, or takes actions in another way, than that of the training.
+                another robot, or takes actions in another way, than that of the training. A single one may have a
+                higher frequency, such as for a person who takes over.
             CorruptCheckpoint: It is damaged.
         """
         checkpoint = path if isinstance(path, Checkpoint) else find_checkpoint(path)
         if env is not None:
             _require_alike(checkpoint, env)
+        trained = checkpoint.training.setup.frequency
+        rate = trained if isinstance(env, Env) and env.frequency != trained else None
         policy = make_policy(checkpoint.training.algorithm, Flat(checkpoint.layout))
         policy.load_state_dict(checkpoint.policy())
-        return cls(mean_action(policy), checkpoint.layout, checkpoint.files[POLICY])
+        return cls(mean_action(policy), checkpoint.layout, checkpoint.files[POLICY], rate=rate)
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Check that the environment has what the policy observes.
@@ -143,6 +155,8 @@ def _require_alike(checkpoint: Checkpoint, env: Env | VecEnv) -> None:
     """Check that actions mean in an environment what they meant in training."""
     trained, here = checkpoint.training.setup, env.setup
     different = [name for name in _MEANING if getattr(trained, name) != getattr(here, name)]
+    if isinstance(env, Env) and here.frequency > trained.frequency:  # it decides at its own rate
+        different.remove("frequency")
     if different:
         words = "; ".join(f"{name} is {getattr(here, name)!r}, not {getattr(trained, name)!r}" for name in different)
         raise InvalidSetup(
