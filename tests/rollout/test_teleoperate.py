@@ -204,6 +204,26 @@ def test_a_reset_while_the_fault_stays_is_told_and_may_be_tried_again(make: Make
     assert not loop.is_over
 
 
+def test_a_device_that_is_lost_during_a_take_leaves_it_open_until_a_person_decides(tmp_path: Path) -> None:
+    device = ScriptedDevice(lambda t: held(LEVEL, "clutch"))
+    with rcs.make("Free", hardware="fake", max_episode_steps=None) as env:
+        person = Operator(env, device, has_thread=False)
+        with rcs.record(env, tmp_path / "set", notes=person.note_fields) as recorder:
+            loop = _begun(Teleoperation(env, person, takes=Takes(recorder, env.frequency)))
+            loop.obey("start")
+            loop.advance()
+            device.fate = "silent"
+            for _ in range(10):
+                loop.advance()
+            assert loop.takes is not None
+            assert loop.takes.is_recording
+            assert not loop.is_over
+            assert person.states == {"right": "held"}
+            loop.obey("discard")
+            assert loop.takes.now is None
+        person.close()
+
+
 def _begun(loop: Teleoperation) -> Teleoperation:
     loop.begin(0)
     return loop
