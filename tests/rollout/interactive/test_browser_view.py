@@ -225,6 +225,22 @@ def test_the_state_of_a_person_at_a_device_is_shown_and_what_is_wrong() -> None:
             assert "ScriptedDevice: held, no reading yet; left out: not finite" in words(view)
 
 
+def test_a_person_at_a_device_leads_on_when_the_page_that_led_is_gone() -> None:
+    def operator(env: Env) -> Operator:
+        return Operator(env, ScriptedDevice(lambda t: held(None)), has_thread=False)
+
+    with Session(replace(playable(Setup(task="Free")), stepping="async"), agent=operator) as session:
+        session.let_agent(True)
+        with BrowserView(session, port=0) as view:
+            hear(view, 7)
+            view.submit(lambda: None, 7)
+            view.update()
+            assert view.leader == 7
+            hear(view, 7, is_seen=False)
+            view.update()
+            assert "cut off: the device leads on" in words(view)
+
+
 def test_takes_are_made_with_buttons_and_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     session = Session(replace(playable(Setup(task="PickCuboid")), stepping="async"), record_into=tmp_path / "set")
     with session, BrowserView(session, port=0) as view:

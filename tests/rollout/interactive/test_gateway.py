@@ -135,6 +135,11 @@ def test_rubbish_and_silence_harm_nobody(gateway: Gateway, monkeypatch: pytest.M
     assert ask(gateway, "/", f"rcs_code={CODE}")[0] == 200
 
 
+def test_a_gateway_may_be_closed_at_once() -> None:
+    for _ in range(20):
+        Gateway("127.0.0.1", 0, behind=1).close()
+
+
 def test_a_taken_port_leads_to_the_next_and_a_foreign_address_is_refused(gateway: Gateway) -> None:
     tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     with Gateway("127.0.0.1", gateway.port, behind=1, code=CODE, tls=tls) as other:

@@ -306,10 +306,11 @@ def test_an_episode_that_ends_by_itself_ends_the_take_with_the_verdict_of_the_ta
     assert (episode.outcome or {})["loop"]["steps"] > 50
 
 
-def test_without_a_folder_or_a_take_the_buttons_say_so(tmp_path: Path) -> None:
+def test_without_a_folder_or_a_take_the_buttons_say_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with session_of() as session, pytest.raises(WrongOrder, match="give a folder"):
         session.obey("start")
     with Session(replace(playable(Setup(task="Free")), stepping="async"), record_into=tmp_path / "set") as session:
+        monkeypatch.setattr(session.env, "hold", lambda: pytest.fail("a wrong key stops the robots"))
         for event, match in (("success", "no open episode"), ("discard", "no take")):
             with pytest.raises(WrongOrder, match=match):
                 session.obey(event)  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]

@@ -19,6 +19,7 @@ from rcs.rollout.interactive.panel import Panel
 from rcs.rollout.interactive.session import Session
 from rcs.sim.browser_scene import BrowserScene
 from rcs.teleop import Keyboard
+from rcs.teleop.takeover import people_of
 
 if TYPE_CHECKING:
     import viser
@@ -59,7 +60,7 @@ class BrowserView(Page):
         assert self._scene is not None, "it is open"
         assert self._panel is not None, "it is open"
         if self.leader is not None and not self._link.hears(self.leader):
-            self._let_go(self._link, "The page that led is hidden, closed or cut off: the robots stay.")
+            self._let_go(self._link)
         while not self._requests.empty():
             request, page = self._requests.get()
             if page is not None and (refusal := self._refusal(self._link, page)):
@@ -114,15 +115,17 @@ class BrowserView(Page):
             link.leader = page
         return "" if link.leader == page else "Another page leads; this one shows. Close that one to lead from here."
 
-    def _let_go(self, link: PageLink, why: str) -> None:
-        """Have the robots stay because nobody leads them; the next page that asks leads."""
+    def _let_go(self, link: PageLink) -> None:
+        """Have the robots stay that the page led; the next page that asks leads."""
         link.leader = None
+        has_device = self.session.operator is None and bool(people_of(self.session.agent))
         try:
             self.session.release()
         except RcsError as err:  # of an agent that is closed; the robots brake
             _log.warning("%s: %s", type(err).__name__, err)
         if self._panel is not None:
-            self._panel.show_message(why)
+            rest = "the device leads on" if has_device else "the robots stay"
+            self._panel.show_message(f"The page that led is hidden, closed or cut off: {rest}.")
 
     def _build(self, server: viser.ViserServer) -> None:
         link = self._link = PageLink(lambda page: self.submit(_nothing, page))

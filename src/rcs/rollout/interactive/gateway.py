@@ -73,6 +73,8 @@ class Gateway(Closing):
         self.port: int = self._socket.getsockname()[1]
         """Port at which it listens."""
         self._loop = asyncio.new_event_loop()
+        self._trying = asyncio.Lock()
+        self._accepting = self._loop.create_task(self._accept())
         self._thread = threading.Thread(target=self._run, name="rcs gateway", daemon=True)
         self._thread.start()
 
@@ -84,8 +86,6 @@ class Gateway(Closing):
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
-        self._trying = asyncio.Lock()
-        self._accepting = self._loop.create_task(self._accept())
         try:
             self._loop.run_until_complete(self._accepting)
         except asyncio.CancelledError:
