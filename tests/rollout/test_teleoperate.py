@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pickle
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -14,43 +13,14 @@ import pytest
 from rcs_data import Dataset, EpisodeRecord
 
 import rcs
-from rcs.agents import Agent, Event, Guide, PerRobot
-from rcs.envs.observer import Note
+from rcs.agents import Agent, Event, PerRobot
 from rcs.envs.spaces import Action, Observation
 from rcs.rollout.latency import Latency
 from rcs.rollout.takes import LoopStatistics, Takes
 from rcs.rollout.teleoperate import Teleoperation
 from rcs.teleop import Operator, Takeover
+from tests.rollout.asking import Asking
 from tests.teleop.scripted_device import LEVEL, ScriptedDevice, at, held
-
-
-class Asking(Agent):
-    """Stays where the robot is, and asks for things at given steps."""
-
-    def __init__(self, env: rcs.envs.Env, requests: Mapping[int, Event]) -> None:
-        (robot,) = env.robots.values()
-        self.guide, self.requests = Guide(env, robot), dict(requests)
-        self.steps = 0
-        self.told: list[str] = []
-
-    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        self.guide.reset(observation)
-        self.told.append(info["instruction"])
-
-    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
-        self.steps += 1
-        return self.guide.act(observation, info)
-
-    def notes(self) -> Mapping[str, Any]:
-        return {"input_time": time.monotonic() - 0.01, "mood": "calm", "place": np.arange(3.0)}
-
-    @property
-    def note_fields(self) -> Sequence[Note]:
-        return [Note("input_time", unit="s"), Note("mood", words=("calm", "angry")), Note("place", size=3, unit="m")]
-
-    def events(self) -> Sequence[Event]:
-        return [self.requests.pop(self.steps)] if self.steps in self.requests else []
-
 
 Make = Callable[..., tuple[Teleoperation, list[str]]]
 
@@ -136,7 +106,7 @@ def test_a_policy_that_is_lost_is_told_once(make: Make) -> None:
     class Lost(Asking):
         @property
         def failure_message(self) -> str | None:
-            return "The server is gone." if 3 <= self.steps < 6 or self.steps > 8 else None
+            return "The server is gone." if 3 <= self.decisions < 6 or self.decisions > 8 else None
 
     loop, told = make({})
     loop.agent.__class__ = Lost
@@ -248,11 +218,11 @@ def test_on_real_devices_the_person_leads_after_a_take_and_not_the_policy(tmp_pa
             for verdict in ("success", "discard"):
                 loop.obey("start")
                 loop.advance()
-                assert (agent.actor, policy.steps > 0) == ("policy", True)
+                assert (agent.actor, policy.decisions > 0) == ("policy", True)
                 loop.obey(verdict)
-                steps = policy.steps
+                decisions = policy.decisions
                 loop.advance()
-                assert (agent.actor, policy.steps) == ("person", steps)
+                assert (agent.actor, policy.decisions) == ("person", decisions)
                 loop.obey("reset")
             assert agent.actor == "policy"
         agent.close()

@@ -20,8 +20,8 @@ from rcs.rollout.interactive.browser_view import BrowserView
 from rcs.rollout.interactive.page_link import PATH, VALID_FOR, PageKeys
 from rcs.rollout.interactive.session import Session, playable
 from rcs.teleop import Keyboard
+from tests.rollout.asking import Asking
 from tests.rollout.interactive.driven_page import control, drag, give, hear, update, words
-from tests.rollout.interactive.test_session import Asking
 
 BRAKING = 5
 """Steps of 1/30 s within which a robot that nobody leads is at rest: 0.1 s, and one from before the law was known."""
@@ -207,7 +207,8 @@ def test_when_the_page_that_led_is_gone_the_agent_acts_no_longer() -> None:
 
 def test_what_an_agent_asks_for_in_vain_is_told_and_the_session_goes_on() -> None:
     setup = replace(playable(Setup(task="Free", relative="absolute")), stepping="async")
-    with Session(setup, agent=lambda env: Asking(env, "success", 3)) as session, BrowserView(session, port=0) as view:
+    session = Session(setup, agent=lambda env: Asking(env, {3: "success"}, rate=10.0))
+    with session, BrowserView(session, port=0) as view:
         session.let_agent(True)
         for _ in range(5):
             view.update()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from rcs_data import Dataset
 
-from rcs.agents import Agent, Event, Guide
+from rcs.agents import Agent, Event
 from rcs.envs import Env
 from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
-from rcs.envs.spaces import Action, Observation
 from rcs.errors import DatasetError, DeviceFault, InvalidSetup, SimulationError, UnknownName, WrongOrder
 from rcs.rollout.interactive.session import Session, playable
 from rcs.teleop import Operator, Takeover
+from tests.rollout.asking import Asking
 from tests.teleop.scripted_device import LEVEL, ScriptedDevice, held
 
 
@@ -168,29 +168,6 @@ def test_a_setup_that_cannot_be_made_leaves_nothing_open() -> None:
         Session(Setup(task="PickCubiod"))
 
 
-class Asking(Agent):
-    """Decides at 10 Hz, counts, and asks for something at a step."""
-
-    rate: float | None = 10.0
-
-    def __init__(self, env: Env, event: Event, step: int) -> None:
-        (robot,) = env.robots.values()
-        self.guide, self.event, self.step = Guide(env, robot), event, step
-        self.decisions = self.polls = 0
-
-    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        self.guide.reset(observation)
-        self.decisions = self.polls = 0
-
-    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
-        self.decisions += 1
-        return self.guide.act(observation, info)
-
-    def events(self) -> Sequence[Event]:
-        self.polls += 1
-        return [self.event] if self.polls == self.step else []
-
-
 @pytest.mark.parametrize(
     ("event", "verdict", "seed", "acts"),
     [("stop", "over", 0, True), ("reset", "running", 1, True), ("takeover", "running", 0, False)],
@@ -199,7 +176,7 @@ def test_an_agent_acts_at_its_own_rate_and_what_it_asks_for_is_done(
     event: Event, verdict: str, seed: int, acts: bool
 ) -> None:
     setup = replace(playable(Setup(task="Free", relative="absolute")), stepping="async")
-    with Session(setup, agent=lambda env: Asking(env, event, 9)) as session:
+    with Session(setup, agent=lambda env: Asking(env, {9: event}, rate=10.0)) as session:
         session.let_agent(True)
         agent = session.agent
         assert isinstance(agent, Asking)
@@ -207,7 +184,7 @@ def test_an_agent_acts_at_its_own_rate_and_what_it_asks_for_is_done(
             assert session.verdict == "running"
             session.step()
         assert (session.verdict, session.seed, session.agent is not None) == (verdict, seed, acts)
-        assert agent.decisions == (0 if event == "reset" else 3)
+        assert (agent.decisions, len(agent.told)) == (3, 2 if event == "reset" else 1)
 
 
 def test_takes_are_recorded_with_who_acted(tmp_path: Path) -> None:
@@ -281,7 +258,7 @@ def test_an_agent_that_cannot_be_closed_does_not_keep_the_robots_from_braking() 
             raise DeviceFault("it cannot be closed")
 
     setup = replace(playable(Setup(task="Free", relative="absolute")), stepping="async")
-    with Session(setup, agent=lambda env: Stuck(env, "stop", 99)) as session:
+    with Session(setup, agent=lambda env: Stuck(env, {}, rate=10.0)) as session:
         session.let_agent(True)
         for _ in range(5):
             session.step()
@@ -360,7 +337,7 @@ def test_after_a_take_a_real_robot_led_on_the_page_stays_where_it_is(tmp_path: P
 @pytest.mark.parametrize("is_takeover", [False, True])
 def test_on_real_devices_no_policy_acts_after_a_take(is_takeover: bool, tmp_path: Path) -> None:
     def agent(env: Env) -> Agent:
-        policy = Asking(env, "stop", 999)
+        policy = Asking(env, {}, rate=10.0)
         person = Operator(env, ScriptedDevice(lambda t: held(LEVEL)), has_thread=False) if is_takeover else None
         return policy if person is None else Takeover(env, policy, person)
 
