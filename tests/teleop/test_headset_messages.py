@@ -58,6 +58,9 @@ def test_a_hand_has_its_buttons_and_the_opening_of_its_trigger() -> None:
     assert (hand.buttons, hand.opening, hand.is_tracked) == ({"clutch", "success"}, 0.75, True)
     left = hand_of("left", decode(message(stick=-0.9)).hands["right"])
     assert left.buttons == {"takeover"}
+    between = decode(message(stick=-0.7)).hands["right"]
+    assert hand_of("left", between).buttons == frozenset()
+    assert hand_of("left", between, was_pushed=True).buttons == {"takeover"}
     assert not hand_of("left", None).is_tracked
     assert not hand_of("left", None).is_there
     unseen = hand_of("left", decode(message(pose=None)).hands["right"])

@@ -20,8 +20,9 @@ MEANINGS: Mapping[str, Mapping[int, Button]] = {
     "right": {1: "clutch", 3: "front", 4: "start", 5: "success"},
 }
 """Meanings of buttons by their number in WebXR's `xr-standard` mapping: the squeeze, the stick, A or X, B or Y."""
-PUSHED = -0.8
-"""Deflection of the left stick away from the person that is the button `takeover`."""
+PUSHED, LET_GO = -0.8, -0.6
+"""Deflection of the left stick away from the person that presses the button `takeover`, and that releases it: a stick
+at one of them gives the robot once."""
 
 
 class HandMessage(msgspec.Struct, forbid_unknown_fields=True):
@@ -61,17 +62,18 @@ def decode(data: Any) -> FrameMessage | None:
         return None
 
 
-def hand_of(name: str, message: HandMessage | None) -> HandReading:
+def hand_of(name: str, message: HandMessage | None, *, was_pushed: bool = False) -> HandReading:
     """Return the reading of a hand.
 
     Args:
         name: `left` or `right`.
         message: Message of the page about it; None for nothing.
+        was_pushed: Whether the left stick was pushed away before.
     """
     if message is None:
         return HandReading(is_tracked=False, is_there=False)
     buttons: set[Button] = {meaning for bit, meaning in MEANINGS[name].items() if message.buttons >> bit & 1}
-    if name == "left" and message.stick < PUSHED:
+    if name == "left" and message.stick < (LET_GO if was_pushed else PUSHED):
         buttons.add("takeover")
     pose = None if message.pose is None else from_headset(np.array(message.pose))
     return HandReading(

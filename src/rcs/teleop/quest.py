@@ -47,7 +47,7 @@ class Quest(InputDevice):
         """
         self._host, self._port = address_of(address, PORT)
         self._opened = Opened[HeadsetServer]("page for headsets")
-        self._clock, self._session = WakingClock(), 0
+        self._clock, self._session, self._is_pushed = WakingClock(), 0, False
         self._shown: Feedback | None = None
         self.url = ""
         """Address to open in the headset, with the code; empty while closed."""
@@ -81,7 +81,10 @@ class Quest(InputDevice):
                 self._clock = WakingClock()
                 server.counts["clock jumped"] += 1
                 return None
-            return reading_of(frame, at - 0.5e-3 * frame.round_trip, server.counts)
+            at -= 0.5e-3 * frame.round_trip
+            reading = reading_of(frame, at, server.counts, was_pushed=self._is_pushed)
+            self._is_pushed = "takeover" in reading.hands["left"].buttons
+            return reading
 
     def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Show cameras and the state of the hands in the headset."""
@@ -141,9 +144,9 @@ class Feedback:
         self._has_ended.wait(1 / PICTURES)
 
 
-def reading_of(frame: FrameMessage, at: float, counts: Mapping[str, int]) -> Reading:
-    """Return the reading of a frame that was made at a time [s]."""
-    hands = {name: hand_of(name, frame.hands.get(name)) for name in Quest.hands}
+def reading_of(frame: FrameMessage, at: float, counts: Mapping[str, int], *, was_pushed: bool = False) -> Reading:
+    """Return the reading of a frame that was made at a time [s]; see `hand_of`."""
+    hands = {name: hand_of(name, frame.hands.get(name), was_pushed=was_pushed) for name in Quest.hands}
     return Reading(time=at, hands=hands, device_time=1e-3 * frame.time, counts=dict(counts))
 
 
