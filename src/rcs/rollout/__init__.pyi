@@ -1,9 +1,9 @@
 from rcs.rollout.calibrate import FreePath as FreePath
 from rcs.rollout.calibrate import Tour as Tour
 from rcs.rollout.calibrate import look_around as look_around
+from rcs.rollout.collect import collect as collect
 from rcs.rollout.collection import Collection as Collection
 from rcs.rollout.collection import Progress as Progress
-from rcs.rollout.collection import collect as collect
 from rcs.rollout.episode import Answer as Answer
 from rcs.rollout.episode import EpisodeResult as EpisodeResult
 from rcs.rollout.episode import Judge as Judge
