@@ -40,7 +40,7 @@ WAITING_FRAMES = 32
 BUFFER = 1 << 20
 """Room for what the network has not taken yet, such as a picture [bytes]: until there is, nothing is read either."""
 KEPT_BACK = 1 << 16
-"""What the network has not taken yet from which on it is too slow for another picture [bytes]."""
+"""Bytes that the network has not taken yet from which on it is too slow for another picture."""
 PEERS = 16
 """Most connections at a time."""
 TLS = b"\x16"
