@@ -23,7 +23,7 @@ def shown(summary: Summary, found: list[Attempt], made: list[Attempt], total: in
     """Return what the bar shows in the end."""
 
     def attempts() -> Iterator[Attempt]:
-        summary.attempts, summary.found = list(found), len(found)
+        summary.attempts = [replace(one, is_found=True) for one in found]
         for one in made:
             summary.attempts.append(one)
             yield one
@@ -51,6 +51,6 @@ def test_steps_of_other_processes_do_not_count_in_the_speed() -> None:
     others = replace(attempt(1, True), is_found=True)
     others = replace(others, result=replace(others.result, steps=400))
     file = io.StringIO()
-    table = results_table(Summary(attempts=[attempt(0, True), others], found=1, episodes=2), 1.0, 1)
+    table = results_table(Summary(attempts=[attempt(0, True), others], episodes=2), 1.0, 1)
     Console(file=file, width=200).print(table)
     assert "1 episodes in 1.0 s: 1.00/s, 1200 per 20 minutes, 4 steps/s" in file.getvalue()

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from rcs.cli.sweep import SweepCommand
+from rcs.errors import InvalidSetup
 from rcs.rollout.evaluation import Summary
 
 Asked = list[tuple[int, int | None]]
@@ -27,6 +28,8 @@ def sweep(
         asked: Asked = []
 
         def evaluated(_: Any, steps: int, path: Path, options: Any, console: Any, seed: int | None = None) -> Summary:
+            if not path.is_dir():
+                raise InvalidSetup("it is gone")
             asked.append((steps, seed))
             evaluate(len(asked))
             return Summary()

@@ -77,9 +77,15 @@ with UrDriver().arm(sys.argv[1], UR5E, {"rate": 125, "watchdog": 2}) as arm:
 """
 
 
-def test_a_program_that_has_taken_over_since_is_not_stopped(arm: Arm) -> None:
+@pytest.mark.parametrize("is_guided", [False, True])
+def test_a_program_that_has_taken_over_since_is_not_stopped(arm: Arm, is_guided: bool) -> None:
     lead(arm, arm.state().joints)
-    arm.recover()
+    if is_guided:  # until somebody ends it at the pendant
+        arm.guide()
+        answer("stop")
+        assert "control script" in wait_for_fault(arm)
+    else:
+        arm.recover()
     other = subprocess.Popen(
         [sys.executable, "-c", OTHER, ADDRESS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -87,8 +93,9 @@ def test_a_program_that_has_taken_over_since_is_not_stopped(arm: Arm) -> None:
     assert other.stdout is not None
     with other:
         assert other.stdout.readline() == "leads\n"
-        arm.command_joints(arm.state().joints)
-        assert "a program already runs" in wait_for_fault(arm)
+        if not is_guided:
+            arm.command_joints(arm.state().joints)
+            assert "a program already runs" in wait_for_fault(arm)
         arm.recover()
         other.stdin.write("\n")
         other.stdin.flush()

@@ -9,6 +9,7 @@ import pytest
 from rcs_data.ledger import Ledger
 
 import rcs
+from rcs.errors import Refused
 from rcs.rollout import Answer, Evaluation, Outlines, PersonJudge, Summary, evaluate
 from rcs.rollout.person import answer_in, ask_at_terminal
 from tests.rollout.staying import SETUP, Stay
@@ -109,3 +110,12 @@ def test_where_no_answer_can_be_taken_back_none_is_offered() -> None:
     judged(None, script, episodes=2, can_undo=False)
     assert script.lines == []
     assert all("[u]ndo" not in question for question, _ in script.asked)
+
+
+def test_an_input_that_stays_no_text_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    def answer(_: str = "") -> str:
+        raise UnicodeDecodeError("utf-8", b"\xc3", 0, 1, "unexpected end of data")
+
+    monkeypatch.setattr("builtins.input", answer)
+    with pytest.raises(Refused, match="no text"):
+        ask_at_terminal("Done?", {}, None)

@@ -110,3 +110,11 @@ def test_real_devices_alone_cannot_be_filmed(tmp_path: Path) -> None:
         Film(rcs.make("Free", hardware="fake")).into(tmp_path),
     ):
         pass
+
+
+def test_a_relative_path_that_looks_like_an_address_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    video = Video("12:30/a.mp4", rate=10)
+    video.add(np.zeros((16, 16, 3), np.uint8))
+    video.close()
+    assert (tmp_path / "12:30" / "a.mp4").is_file()

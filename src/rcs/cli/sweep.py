@@ -22,7 +22,7 @@ from rcs.cli.run import ask_about, fitted_setup, person
 from rcs.cli.runs import LedgerOptions, PoolOptions, attempts_of, interruptible, print_results, show
 from rcs.cli.setup_options import SetupOptions, changed
 from rcs.envs.env import Env
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, RcsError
 from rcs.policy import Execution, ServedPolicy
 from rcs.rollout.evaluate import evaluate
 from rcs.rollout.evaluation import Evaluation, Summary
@@ -88,10 +88,13 @@ class SweepCommand(SetupOptions):
         rates: dict[int, tuple[float, Path]] = {}
         while True:
             for steps, path in (one for one in found if one[0] not in rates):
-                if not path.is_dir():
+                try:
+                    summary = self._evaluate(steps, path, options, console)
+                except (RcsError, OSError):
+                    if path.is_dir():
+                        raise
                     console.print(f"{steps} steps: the training has removed this checkpoint; it is left out.")
                     continue
-                summary = self._evaluate(steps, path, options, console)
                 if summary.is_interrupted:
                     return INTERRUPTED
                 rates[steps] = (summary.successes / summary.judged if summary.judged else -1.0, path)

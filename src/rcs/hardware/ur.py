@@ -66,7 +66,7 @@ _ROBOT_MODES = {
 }  # fmt: skip
 _JOINT_FAULTS = {245: "does not respond", 251: "is in violation", 252: "has a fault"}
 _IS_RUNNING = 7
-_IS_PLAYING = 2
+_IS_STOPPED, _IS_PLAYING = 1, 2
 
 
 class UrOptions(ArmOptions):
@@ -194,7 +194,8 @@ class UrArm(StreamedArm):
             trouble = ""
         elif (mode := receive.getRobotMode()) != _IS_RUNNING:
             trouble = MODE_WORDS.get(_ROBOT_MODES.get(mode, ""), f"the robot mode is {mode}")
-        elif receive.getRuntimeState() != _IS_PLAYING:
+        elif (state := receive.getRuntimeState()) != _IS_PLAYING:
+            self._may_run = self._may_run and state != _IS_STOPPED
             trouble = (
                 "the control script on the controller has ended: a user stopped it or took local control, or this "
                 f"program sent nothing for {1 / self._watchdog:.3f} s (watchdog)"
@@ -319,7 +320,9 @@ class UrArm(StreamedArm):
 
     def _stop(self) -> None:
         self._is_led = self._is_given_way = False
-        if not self._is_silent:  # otherwise the watchdog stops it
+        if self._is_silent:  # the watchdog stops it, and the next program may be another's
+            self._may_run = False
+        else:
             self._stop_program()
 
     def _can_guide(self) -> bool:

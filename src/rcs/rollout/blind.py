@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 from rcs_data.ledger import Condition, Ledger
+from rcs_data.ledger.condition import BLIND
 
 from rcs.agents.identity import Identity, identity_of
 from rcs.envs.env import Env
@@ -24,8 +25,6 @@ from rcs.rollout.logbook import Logbook, condition_of
 from rcs.rollout.person import PersonJudge
 
 LETTERS = ("X", "Y")
-_NONCE = "blind"
-"""Tag that the two conditions of a comparison share, drawn for each comparison."""
 _TELLING = logging.getLogger("rcs.policy.execution")
 """Logs the words of policies and of connections to them."""
 _GONE = (
@@ -94,7 +93,6 @@ def evaluate_blind(
             evaluator.condition = book.hash
             book.take(there := Summary())  # both have the same numbers
             summary.attempts += there.attempts
-            summary.found += there.found
         by_letter = sorted(range(2), key=lambda which: blind[which].agent)
         turns = [(number, by_letter[letter]) for number, letter in order_of(evaluations[0])]
         for place, (number, which) in enumerate(turns):
@@ -136,7 +134,7 @@ def _blinded(ledger: Ledger, true: list[Condition], identities: list[Identity]) 
     """
     starts: dict[str, dict[str, Condition]] = {}
     for blind, own in ledger.blind():
-        starts.setdefault(blind.tags[_NONCE], {})[own.hash] = blind
+        starts.setdefault(blind.tags[BLIND], {})[own.hash] = blind
     for known in starts.values():
         if known.keys() == {one.hash for one in true}:
             return [known[one.hash] for one in true]
@@ -144,7 +142,7 @@ def _blinded(ledger: Ledger, true: list[Condition], identities: list[Identity]) 
     secrets.SystemRandom().shuffle(letters)
     blinded: list[Condition] = []
     for one, letter, identity in zip(true, letters, identities, strict=True):
-        tags = {**one.tags, _NONCE: nonce}
+        tags = {**one.tags, BLIND: nonce}
         blinded.append(replace(one, agent=letter, weights=None, trained=None, data=None, policy={}, tags=tags))
         ledger.register(blinded[-1], hidden=(one, identity.place))
     return blinded

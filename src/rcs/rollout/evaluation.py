@@ -104,8 +104,6 @@ class Summary:
 
     attempts: list[Attempt] = field(default_factory=list[Attempt])
     """Attempts in the order of their ends, after those that were there before; in the end those of other processes."""
-    found: int = 0
-    """How many of them were not run, but found in the ledger."""
     episodes: int | None = None
     """Number of episodes; attempts with larger numbers repeat them. None where nothing is repeated."""
     is_interrupted: bool = False
@@ -118,6 +116,11 @@ class Summary:
     """Who acts, once an evaluation with a ledger has begun."""
     condition: str = ""
     """The hash of its condition in the ledger."""
+
+    @property
+    def found(self) -> int:
+        """How many of the attempts were not run, but found in the ledger."""
+        return sum(attempt.is_found for attempt in self.attempts)
 
     @property
     def results(self) -> list[EpisodeResult]:

@@ -102,6 +102,9 @@ def _modules(setup: Setup, parts: Parts) -> Iterator[str]:
     """Yield the modules that a setup has parts of."""
     for name in [setup.robot] if isinstance(setup.robot, str) else setup.robot.values():
         yield from filter(None, (lookup.module_of("lab", name), lookup.module_of("arm", name)))
+    for one in (robot.end_effector for robot in parts.robots):  # also that of a lab
+        if one is not None:
+            yield from filter(None, (lookup.module_of("gripper", one.name), lookup.module_of("hand", one.name)))
     yield from (one.module for one in _described(parts) if one.module)
     yield lookup.find("task", setup.task).__module__
     yield from (lookup.find("layer", name).__module__ for name in setup.layers)
@@ -181,7 +184,6 @@ class Logbook(Closing):
         for number in self._evaluation.numbers:
             if number not in known and (row := self.row_of(number)) is not None:
                 summary.attempts.append(_attempt(number, row))
-                summary.found += 1
 
     def missing(self, summary: Summary) -> Iterator[int]:
         """Yield the numbers to be run, each when it is asked for; those running elsewhere are left to others."""

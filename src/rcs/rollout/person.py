@@ -8,6 +8,7 @@ from typing import Any
 
 from rcs.envs.env import Env
 from rcs.envs.spaces import Observation
+from rcs.errors import Refused
 from rcs.rollout.episode import Answer, read_line
 from rcs.rollout.outlines import Outlines
 
@@ -15,6 +16,8 @@ VERDICTS: Mapping[str, bool | None] = {"y": True, "yes": True, "n": False, "no":
 """Words with which an answer begins."""
 UNDO = "u"
 """The line that takes the last answer back."""
+_TRIES = 10
+"""Number of lines that are no text after which nobody is asked any more."""
 
 Asker = Callable[[str, Observation, int | None], str]
 """Asks a question, and returns a line. Also given are the last observation, and the seed of the episode whose objects
@@ -25,15 +28,16 @@ def ask_at_terminal(question: str, observation: Observation, seed: int | None) -
     """Ask the person at the terminal, again after bytes that are no text there: they could not be stored.
 
     Raises:
-        Refused: The input has ended.
+        Refused: The input has ended, or is no text.
     """
     notice = ""
-    while True:
+    for _ in range(_TRIES):  # a pipe that ends within a character fails the same way for ever
         with contextlib.suppress(UnicodeError):
             line = read_line(f"{notice}{question}: ")
             line.encode()
             return line
         notice = "That was no text. "
+    raise Refused("The input is no text; run the command at a terminal.")
 
 
 def answer_in(line: str) -> Answer | None:

@@ -40,7 +40,9 @@ class Video:
         height, width = (edge - edge % 2 for edge in picture.shape[:2])
         if self._container is None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._container = av.open(str(self._path), "w")
+            self._container = av.open(
+                str(self._path.absolute()), "w"
+            )  # FFmpeg takes a relative "12:30/…" for an address
             self._stream = self._container.add_stream("libx264", rate=self._rate, width=width, height=height)
             self._stream.pix_fmt = "yuv420p"
             self._stream.options = {"crf": "23", "preset": "veryfast"}

@@ -338,7 +338,7 @@ def test_a_finished_episode_that_the_index_lacks_must_be_recovered_first(dataset
         record(writer, "late", Dataset.open(dataset).episodes[0])
     index = dataset / "episodes.jsonl"
     index.write_bytes(b"".join(index.read_bytes().splitlines(keepends=True)[:-1]))  # as a full disk leaves it
-    with pytest.raises(DatasetError, match=r"'late'.* run recover first"):
+    with pytest.raises(DatasetError, match=r"late of .* run recover first"):
         edit.undo(dataset) if change == "undo" else edit.resize(dataset, (6, 4))
     assert recover(dataset).published == ("late",)
     assert check(dataset).is_ok
@@ -368,3 +368,10 @@ def test_a_flipped_bit_in_dataset_json_changes_nothing_and_is_found(dataset: Pat
     path.write_bytes(bytes(data))
     assert state(dataset) == before
     assert [finding.file for finding in check(dataset).damage] == ["dataset.json"]
+
+
+def test_a_file_beside_the_episodes_is_in_the_way_of_no_edit(dataset: Path) -> None:
+    edit.delete(dataset, ["000001"])
+    (dataset / "episodes" / "notes.txt").touch()
+    edit.undo(dataset)
+    assert Dataset.open(dataset)["000001"].length > 0

@@ -20,6 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
 from rcs_data.ledger import Condition, Ledger, write_ledger_page
+from rcs_data.ledger.groups import groups_of
 
 if TYPE_CHECKING:
     from conftest import MakeCondition, MakeRow  # pyright: ignore[reportAttributeAccessIssue]
@@ -291,3 +292,15 @@ def test_a_corrected_answer_takes_the_place_of_the_one_before(filled: Ledger, ma
     frame = pd.read_json(filled.folder / "ledger.jsonl", lines=True, dtype=False)
     latest = frame.drop_duplicates(["key", "repeat"], keep="last")
     assert (len(frame), len(latest), latest["corrections"].sum()) == (26, 24, 2)
+
+
+def test_a_revealed_comparison_is_of_the_series_of_its_agent(tmp_path: Path, make_row: MakeRow) -> None:
+    ledger = Ledger.open(tmp_path / "l")
+    real = replace(CONDITION, platform={"arm": "fake"})
+    blind = replace(real, agent="X", weights=None, tags={**real.tags, "blind": "one"})
+    ledger.register(CONDITION)
+    ledger.register(blind, hidden=(real, "vla://host:1"))
+    for condition in (CONDITION, blind):
+        ledger.add(make_row(condition, 1))
+    ledger.unblind()
+    assert {one.series for one in groups_of(ledger, "domain")} == {""}

@@ -19,7 +19,15 @@ from rcs_data.errors import DatasetError
 from rcs_data.files.about import read_about
 from rcs_data.files.durable import disk_errors, remove_tree
 from rcs_data.files.info import DatasetInfo
-from rcs_data.files.layout import EPISODES_FOLDER, FORMER_FOLDER, OPEN_FOLDER, folder_names, trash, written_folder
+from rcs_data.files.layout import (
+    EPISODE_FILE,
+    EPISODES_FOLDER,
+    FORMER_FOLDER,
+    OPEN_FOLDER,
+    folder_names,
+    trash,
+    written_folder,
+)
 from rcs_data.files.output import new_output
 from rcs_data.index import history
 from rcs_data.index.entry import Entry
@@ -168,11 +176,12 @@ def prune(path: str | Path) -> int:
 
 def _refuse_open(index: Index) -> None:
     """Refuse if recover would add an episode, whose rows have the former form: an open one, or one without its line."""
-    left = [*folder_names(index.root, OPEN_FOLDER), *(folder.name for folder in unlisted(index))]
+    finished = (folder.name for folder in unlisted(index) if (folder / EPISODE_FILE).exists())
+    left = [*folder_names(index.root, OPEN_FOLDER), *finished]
     if left:
         raise DatasetError(
-            f"Episodes {left} of {index.root} were left open by a recording; run recover first, or `check --repair` "
-            "for those that it leaves alone."
+            f"Episodes {', '.join(left[:5])} of {index.root} were left by a recording; run recover first, or "
+            "`check --repair` for those that it leaves alone."
         )
 
 

@@ -152,12 +152,12 @@ def remove_folder(path: Path, trash: Path) -> None:
     """
     try:
         trash.parent.mkdir(exist_ok=True)
+        path.rename(trash)
     except OSError as err:
         if not is_full(err):
             raise
         remove_tree(path)
         return
-    path.rename(trash)
     with contextlib.suppress(OSError):
         remove_tree(trash)
 

@@ -52,7 +52,8 @@ def is_name(text: str, longest: int = _LONGEST_NAME) -> bool:
     return (
         bool(text)
         and text.isprintable()  # which half a surrogate pair is not
-        and not {"/", "\\"} & set(text)
+        and "/" not in text
+        and "\\" not in text
         and text[0] != "."
         and len(text.encode()) <= longest
     )

@@ -162,7 +162,7 @@ def pearson(real: Sequence[float], simulated: Sequence[float]) -> float | None:
     mean_real, mean_simulated = sum(real) / len(real), sum(simulated) / len(simulated)
     away = [(one - mean_real, other - mean_simulated) for one, other in zip(real, simulated, strict=True)]
     spread = math.sqrt(sum(one**2 for one, _ in away) * sum(other**2 for _, other in away))
-    return sum(one * other for one, other in away) / spread if spread else None
+    return sum(one * other for one, other in away) / spread
 
 
 def mean_maximum_rank_violation(real: Sequence[float], simulated: Sequence[float]) -> float:

@@ -12,6 +12,8 @@ from rcs_data.options import Natural, Record
 
 _DIGITS = 16
 """Digits of a hash: two of a million conditions share them with a probability of 3e-8."""
+BLIND = "blind"
+"""Tag of the two conditions of a blind comparison, drawn anew for each comparison."""
 
 
 class Condition(Record):

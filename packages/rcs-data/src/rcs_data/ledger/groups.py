@@ -9,7 +9,7 @@ from typing import Any
 from rcs_data.errors import InvalidSetup, UnknownName
 from rcs_data.ledger.compare import verdicts_of
 from rcs_data.ledger.comparison import mean_maximum_rank_violation, pearson
-from rcs_data.ledger.condition import Condition, leaves
+from rcs_data.ledger.condition import BLIND, Condition, leaves
 from rcs_data.ledger.ledger import Ledger
 from rcs_data.read.verdicts import Verdicts
 
@@ -64,7 +64,7 @@ def groups_of(ledger: Ledger, by: str, names: Sequence[str] | None = None) -> li
         raise InvalidSetup(UnknownName(f"key in {ledger.folder}", by, {*KEYS, *tags, *differ}).message)
     tags = sorted({name for hash_ in own for name in conditions[hash_].tags})
     if names is None:
-        plain = [name for name in (*_NAMED, *tags) if name != by and (by, name) != ("agent", "policy")]
+        plain = [name for name in (*_NAMED, *tags) if name not in (by, BLIND) and (by, name) != ("agent", "policy")]
         names = [name for name in plain if len({values.get(name) for values in own.values()}) > 1]
 
     def count(keys: Sequence[str]) -> int:
