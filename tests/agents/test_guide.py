@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rcs
 from rcs.agents.guide import JOINT_SPEED, SPEED, Guide
 from rcs.envs import Gate
 from rcs.envs.layers import Layer
@@ -236,3 +237,17 @@ def test_after_a_refusal_the_target_goes_on_from_where_the_arm_is(relative: Any)
         assert max(steps[20:24]) < max(steps[:19]) + 0.02
         run(session, 2.0)
         assert distance(guide.tcp_in_scene, goal)[0] < 3e-3
+
+
+def test_a_real_gripper_that_a_reset_has_opened_stays_open() -> None:
+    with rcs.make("Free", hardware="fake", binary_gripper=False, max_episode_steps=None) as env:
+        guide = Guide(env, next(iter(env.robots.values())))
+        observation, info = env.reset(seed=0)
+        guide.reset(observation)
+        guide.opening = 0.0
+        for _ in range(3):
+            observation, *_, info = env.step(guide.act(observation, info))
+        start = {"joints": observation["joints"], "gripper": np.ones(1)}
+        observation, _ = env.reset(options={"robot": start, "may_move": True})
+        guide.reset(observation)
+        assert guide.opening == 1.0

@@ -15,7 +15,7 @@ import rcs
 from rcs.agents import PerRobot
 from rcs.devices.fakes import FakeGripper
 from rcs.envs import Env
-from rcs.errors import InvalidSetup, RcsError
+from rcs.errors import DeviceFault, InvalidSetup, RcsError
 from rcs.policy import ChunkAgent, Execution, ServedPolicy, offer_of
 from rcs.rollout import run_episode
 from tests.policy.swing import GRIPPER, JOINTS, Swing, rollout
@@ -194,3 +194,22 @@ def test_before_the_first_answer_a_real_gripper_drops_nothing() -> None:
         assert max(openings(env)) <= 0.6, "rounded, that would be open"
         gripper.body.values = gripper.body.target = np.array([1.0])  # around something as wide as that
         assert openings(env)[-1] < 0.9, "the last command was to close"
+
+
+def test_the_policy_of_one_robot_holds_while_a_device_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(robot: str | None = None) -> None:
+        raise DeviceFault("left: the cable is out")
+
+    with rcs.make("Free", robot="dual_fr3", relative=True) as env:
+        told = Metadata(name="still", action=offer_of(env).action, rate=30.0, horizon=16)
+        failing = ScriptedPolicy(lambda *_: np.zeros((16, told.size)), told)
+        still = ScriptedPolicy(lambda *_: np.zeros((16, told.size)), replace(told, name="other"))
+        both = PerRobot(env, {"left": ChunkAgent(env, still), "right": ChunkAgent(env, failing)})
+        observation, info = env.reset(seed=0)
+        both.reset(observation, info)
+        for step in range(40):
+            if step == 5:
+                failing._act = lambda *_: 1 / 0  # type: ignore[assignment]
+                monkeypatch.setattr(env, "rebase", lost)
+            observation, *_, info = env.step(both.act(observation, info))
+        assert both.notes()["right/policy_is_held"]

@@ -20,7 +20,7 @@ import pytest
 from rcs.errors import InvalidSetup
 from rcs.teleop import credentials
 from rcs.teleop.device import HandReading, Reading
-from rcs.teleop.quest import Quest, address_of
+from rcs.teleop.quest import Feedback, Quest, address_of
 
 # They need websockets and cryptography, which `make test-extras` installs.
 pytestmark = pytest.mark.extras
@@ -369,3 +369,26 @@ def test_frames_that_are_read_while_they_are_dropped_end_no_connection(quest: Qu
             page.send(frame(number, 0.1 * number))
             assert json.loads(page.recv(20)) == {"echo": number}
             server.frames.get(timeout=20)
+
+
+def test_no_camera_is_left_out_where_one_picture_at_a_time_is_under_way() -> None:
+    class Server:
+        def __init__(self) -> None:
+            self.is_keeping_up, self.shown = True, set[bytes]()
+
+        def send(self, message: str | bytes) -> None:
+            if isinstance(message, str):  # the next round: what was sent has arrived
+                self.is_keeping_up = True
+            else:
+                self.is_keeping_up = False
+                self.shown.add(message[1 : 1 + message[0]])
+
+    server: Any = Server()
+    feedback = Feedback(server)
+    frames = {"frames": {name: {"rgb": np.zeros((8, 8, 3), np.uint8)} for name in ("a", "b", "c")}}
+    end = time.monotonic() + 10.0
+    while server.shown != {b"a", b"b", b"c"}:
+        assert time.monotonic() < end
+        feedback.offer(frames, {})
+        time.sleep(0.02)
+    feedback.close()

@@ -135,6 +135,9 @@ def test_a_policy_that_cannot_begin_again_leaves_the_robot_to_the_person() -> No
                 raise RcsError("Nobody answers.")
             super().reset(observation, info)
 
+        def events(self) -> Any:
+            return ("stop",) if self.is_gone else ()
+
     with interrupted(Gone) as (env, agent):
         observation, info = env.reset(seed=3)
         agent.reset(observation, info)
@@ -145,6 +148,7 @@ def test_a_policy_that_cannot_begin_again_leaves_the_robot_to_the_person() -> No
             observation, *_, info = env.step(agent.act(observation, info))
         assert agent.actor == "person"
         assert agent.failure_message == "RcsError: Nobody answers. The person has the robots."
+        assert "stop" not in agent.events()
         assert agent.is_lost
         agent.reset(observation, info)
         assert agent.actor == "person"

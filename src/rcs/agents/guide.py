@@ -113,7 +113,8 @@ class Guide:
         self._velocity, self._turn_rate = np.zeros(3), 0.0
         self.opening = float(own[GRIPPER][0]) if GRIPPER in own else 1.0
         if self._sent_to is not None:  # what it holds keeps it from closing all the way, and would fall
-            self.keep_opening({"target": self._sent_to.target})
+            for sent in (self._sent_to.target, self._sent_to.executed):  # the way to a start goes past the layers
+                self.keep_opening({"target": sent})
         self.is_out_of_reach = False
 
     def keep_opening(self, info: Mapping[str, Any]) -> None:

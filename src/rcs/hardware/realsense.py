@@ -174,7 +174,7 @@ class Realsense(Camera):
         self._stop()
 
     def _stop(self) -> None:
-        pipeline, self._pipeline, self._is_new = self._pipeline, None, False
+        pipeline, self._pipeline = self._pipeline, None
         if pipeline is not None:
             try:
                 pipeline.stop()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from rcs.envs.env import Env
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS, RAW, TQUAT, TWIST, XYZRPY, Action, Observation
-from rcs.errors import InvalidSetup
+from rcs.errors import DeviceFault, InvalidSetup
 from rcs.policy.interface import flat, flat_boxes, from_unit, key_of, nested, unit_of
 from rcs.policy.plan import STILL, Array, Command, Kind, Part
 from rcs.spatial import limit_step, tquat_to_xyzrpy
@@ -130,7 +131,8 @@ class PolicyActions:
             if self._was_moved and self.robot is None:
                 self._env.hold()
             elif self._was_moved:  # the others go on, and their actions of this step count from where they did
-                self._env.rebase(self.robot)
+                with contextlib.suppress(DeviceFault):  # of any robot; it ends the step, or has ended the episode
+                    self._env.rebase(self.robot)
         return nested(self._held, self._boxes)
 
     def _place(self, name: str, measured: Mapping[str, Array]) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import queue
 import threading
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -112,6 +113,7 @@ class Feedback:
             server: Sends them.
         """
         self._server = server
+        self._shown = Counter[str]()
         self._has_ended = threading.Event()
         self._thread = BackgroundThread[tuple[Observation, Mapping[str, Any]]]("rcs headset pictures", self._send)
 
@@ -135,9 +137,11 @@ class Feedback:
             return
         observation, info = newest
         self._server.send(json.dumps({"states": dict(info.get("operator", {}))}))
-        for name, frame in observation.get(FRAMES, {}).items():
-            if RGB in frame and self._server.is_keeping_up:
-                rgb = np.ascontiguousarray(frame[RGB])
+        frames = observation.get(FRAMES, {})
+        for name in sorted(frames, key=self._shown.__getitem__):  # a picture under way may be all that is let through
+            if RGB in frames[name] and self._server.is_keeping_up:
+                self._shown[name] += 1
+                rgb = np.ascontiguousarray(frames[name][RGB])
                 label = name.encode()[:255]
                 picture = simplejpeg.encode_jpeg(rgb, quality=QUALITY, colorspace="RGB")
                 self._server.send(bytes([len(label)]) + label + picture)

@@ -99,7 +99,7 @@ class Takeover(Agent):
     def events(self) -> Sequence[Event]:
         """Return the person's requests since the last call, oldest first."""
         events, self._events = self._events, []
-        return [*events, *self._pace.agent.events()]
+        return [*events, *(self._pace.agent.events() if self.actor == "policy" else ())]
 
     @property
     def failure(self) -> str | None:

@@ -115,7 +115,9 @@ class Panel:
                     handle.image, self._pictures[name] = frame, (handle, frame)
 
     def _show_text(self) -> None:
-        session, words = self._session, self._message or self._session.problem
+        session = self._session
+        failed = None if session.agent is None else session.agent.failure_message
+        words = self._message or session.problem or failed
         reach = ", ".join(name for name, guide in session.guides.items() if guide.is_out_of_reach)
         lines = [f"**{as_line(session.env.instruction)}**" if session.env.instruction else ""]
         lines.append(

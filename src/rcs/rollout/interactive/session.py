@@ -326,7 +326,7 @@ class Session(Closing):
                 guide.reset(self.observation)
                 guide.keep_opening(self.info)
             try:
-                self.release()
+                self._brake() if people_of(self.agent) else self.release()
             finally:  # also if an agent cannot be closed
                 self.info = go_on_from_hold(self._pace, self.observation, self.info)
 
