@@ -295,12 +295,11 @@ def test_a_corrected_answer_takes_the_place_of_the_one_before(filled: Ledger, ma
 
 
 def test_a_revealed_comparison_is_of_the_series_of_its_agent(tmp_path: Path, make_row: MakeRow) -> None:
-    ledger = Ledger.open(tmp_path / "l")
-    real = replace(CONDITION, platform={"arm": "fake"})
-    blind = replace(real, agent="X", weights=None, tags={**real.tags, "blind": "one"})
-    ledger.register(CONDITION)
-    ledger.register(blind, hidden=(real, "vla://host:1"))
-    for condition in (CONDITION, blind):
+    ledger, simulated = Ledger.open(tmp_path / "l"), replace(CONDITION, platform={})
+    blind = replace(CONDITION, agent="X", weights=None, tags={**CONDITION.tags, "blind": "one"})
+    ledger.register(simulated)
+    ledger.register(blind, hidden=(CONDITION, "vla://host:1"))
+    for condition in (simulated, blind):
         ledger.add(make_row(condition, 1))
     ledger.unblind()
     assert {one.series for one in groups_of(ledger, "domain")} == {""}
