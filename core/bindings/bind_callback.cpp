@@ -85,16 +85,16 @@ void bind_trajectory(nb::module_& m) {
               throw rcs::InvalidSetup("trajectory: valid are a period above 0 and a share of the acceleration up to 1");
             if (t.is_asked(numbers)) t.follow(numbers, {period, period, 0.0, is_synchronous}, share);
           },
-          "memory"_a, "period"_a, "is_synchronous"_a = false, "share"_a = 1.0,
+          "memory"_a.noconvert(), "period"_a, "is_synchronous"_a = false, "share"_a = 1.0,
           "Plan the motion of a step that lasts `period` [s], or until the target is reached, with a share of the "
           "acceleration.")
       .def(
-          "brake", [](rcs::Trajectory& t, const Memory& memory) { t.brake(memory_of(t, memory), 1.0); }, "memory"_a,
+          "brake", [](rcs::Trajectory& t, const Memory& memory) { t.brake(memory_of(t, memory), 1.0); }, "memory"_a.noconvert(),
           "Brake to rest, all joints together on a straight line where they can.")
       .def(
           "advance",
           [](rcs::Trajectory& t, const Memory& memory, double time) { t.advance(memory_of(t, memory), time); },
-          "memory"_a, "time"_a, "Let time pass [s].")
+          "memory"_a.noconvert(), "time"_a, "Let time pass [s].")
       .def(
           "state",
           [](rcs::Trajectory& t, const Memory& memory, double ahead) {
@@ -104,11 +104,11 @@ void bind_trajectory(nb::module_& m) {
               all.insert(all.end(), values.begin(), values.end());
             return to_array(all, {3, static_cast<std::size_t>(t.dof())});
           },
-          "memory"_a, "ahead"_a = 0.0,
+          "memory"_a.noconvert(), "ahead"_a = 0.0,
           "Position, velocity and acceleration after so many seconds of the present plan, (3, dof).")
       .def(
           "remaining", [](rcs::Trajectory& t, const Memory& memory) { return t.remaining(memory_of(t, memory)); },
-          "memory"_a, "Time until the joints stand [s]; of a stream, until the plan is used up.");
+          "memory"_a.noconvert(), "Time until the joints stand [s]; of a stream, until the plan is used up.");
 }
 
 }  // namespace

@@ -37,7 +37,8 @@ IkResult Kinematics::inverse(const Pose& target, std::span<const double> start, 
   check_joints(start);
   check_options(options);
   Called scratch(*this, start.size());
-  return solve_inverse(scratch, joint_lower(), joint_upper(), target, start, options);
+  const auto [lower, upper] = joint_range();
+  return solve_inverse(scratch, lower, upper, target, start, options);
 }
 
 struct DampedLeastSquares::Scratch final : Workspace {

@@ -143,18 +143,21 @@ void Device::require_commandable(const char* call, double valid_for) const {
 
 Device::TimePoint Device::exchange_deadline(double valid_for) {
   using std::chrono::steady_clock;
-  has_deadline_ = valid_for < kLongest;
-  deadline_ = has_deadline_ ? monotonic_time() + valid_for : kForever;
-  const std::chrono::duration<double> time(has_deadline_ ? valid_for : 0.0);
-  return OpenDevices::get().exchange_deadline(
-      *this, has_deadline_ ? steady_clock::now() + std::chrono::duration_cast<steady_clock::duration>(time)
-                           : OpenDevices::kNever);
+  const bool is_ending = valid_for < kLongest;
+  deadline_ = is_ending ? monotonic_time() + valid_for : kForever;
+  const std::chrono::duration<double> time(is_ending ? valid_for : 0.0);
+  const TimePoint former = OpenDevices::get().exchange_deadline(
+      *this, is_ending ? steady_clock::now() + std::chrono::duration_cast<steady_clock::duration>(time)
+                       : OpenDevices::kNever);
+  has_deadline_ = is_ending;  // last: a stop that comes between would leave a deadline that nobody takes away
+  return former;
 }
 
 void Device::restore_deadline(TimePoint former) {
-  has_deadline_ = former < OpenDevices::kNever;
-  deadline_ = has_deadline_ ? std::chrono::duration<double>(former.time_since_epoch()).count() : kForever;
+  const bool is_ending = former < OpenDevices::kNever;
+  deadline_ = is_ending ? std::chrono::duration<double>(former.time_since_epoch()).count() : kForever;
   OpenDevices::get().exchange_deadline(*this, former);
+  has_deadline_ = is_ending;
 }
 
 // A command that comes while the device is held here is held too: it came after the end of the one before.

@@ -2,6 +2,7 @@
 // sources.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <chrono>
@@ -26,7 +27,10 @@ struct HostText {
 
   void set(const std::string& text) {
     characters.fill('\0');
-    text.copy(characters.data(), Size - 1);
+    std::size_t size = std::min(text.size(), Size - 1);
+    // Not in the middle of a character of UTF-8: the rest of it is no text.
+    while (size > 0 && size < text.size() && (static_cast<unsigned char>(text[size]) & 0xC0) == 0x80) --size;
+    text.copy(characters.data(), size);
   }
   std::string get() const { return {characters.data(), strnlen(characters.data(), Size)}; }
 };

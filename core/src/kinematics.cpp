@@ -30,6 +30,16 @@ void Kinematics::check_options(const IkOptions& options) const {
                          std::to_string(n) + " joints or none, one has " + std::to_string(rows->size()));
 }
 
+std::array<std::vector<double>, 2> Kinematics::joint_range() const {
+  std::array<std::vector<double>, 2> range{joint_lower(), joint_upper()};
+  const auto n = static_cast<std::size_t>(dof());
+  for (const auto& limits : range)
+    if (limits.size() != n)
+      throw InvalidSetup("kinematics: there are " + std::to_string(limits.size()) + " limits, the arm has " +
+                         std::to_string(n) + " joints");
+  return range;
+}
+
 std::vector<double> Kinematics::jacobian(std::span<const double> joints) {
   check_joints(joints);
   const std::size_t n = joints.size();

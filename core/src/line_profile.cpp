@@ -71,7 +71,7 @@ std::array<double, 4> LineProfile::at(double time) const {
   if (time > plan_->duration) return {plan_->distance, plan_->to, 0.0, 0.0};
   std::array<double, 1> position{}, velocity{}, acceleration{}, jerk{};
   std::size_t section = 0;
-  plan_->trajectory.at_time(std::max(time, 0.0), position, velocity, acceleration, jerk, section);
+  plan_->trajectory.at_time(std::max(0.0, time), position, velocity, acceleration, jerk, section);
   return {position[0], velocity[0], acceleration[0], time < 0.0 ? 0.0 : jerk[0]};
 }
 

@@ -24,7 +24,8 @@ MovingParts::MovingParts(const mjModel* model, std::span<const int> joints, std:
     : joint_count_(joints.size()),
       index_of_joint_(static_cast<std::size_t>(model->njnt), -1),
       movers_(static_cast<std::size_t>(model->nbody), 0),
-      is_done_(static_cast<std::size_t>(model->nbody), 0) {
+      is_done_(static_cast<std::size_t>(model->nbody), 0),
+      is_placed_(static_cast<std::size_t>(model->nbody), 0) {
   for (std::size_t i = 0; i < joints.size(); ++i)
     index_of_joint_[static_cast<std::size_t>(joints[i])] = static_cast<int>(i);
   const auto attachment_of = [&](int body) -> const Attachment* {
@@ -59,7 +60,9 @@ void MovingParts::add(const mjModel* model, int body, std::span<const double> qp
     if (index >= 0) movers |= std::uint64_t{1} << index;
   }
   movers_[static_cast<std::size_t>(body)] = movers;
-  if (movers == 0 && !attachment) return;  // it stays where the state has it
+  // It stays where the state has it, unless it is on something attached.
+  if (movers == 0 && !attachment && !is_placed_[static_cast<std::size_t>(parent)]) return;
+  is_placed_[static_cast<std::size_t>(body)] = 1;
   const double* at = attachment ? attachment->translation.data() : model->body_pos + 3 * body;
   const double* turned = attachment ? attachment->quaternion.data() : model->body_quat + 4 * body;
   bodies_.push_back({body, parent, values<3>(at), values<4>(turned), static_cast<int>(joints_.size()), count});

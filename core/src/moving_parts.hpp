@@ -63,6 +63,7 @@ class MovingParts {
   std::vector<int> index_of_joint_;  ///< per joint of the model; -1 for one that stays
   std::vector<std::uint64_t> movers_;
   std::vector<std::uint8_t> is_done_;
+  std::vector<std::uint8_t> is_placed_;  ///< per body: whether it is in `bodies_`
   std::vector<Body> bodies_;  ///< parents first
   std::vector<Joint> joints_;
   std::vector<double> levers_;

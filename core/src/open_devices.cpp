@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <atomic>
 #include <csignal>
+#include <system_error>
 #include <thread>
 #include <utility>
 
@@ -75,11 +76,17 @@ void OpenDevices::stop_all(const std::string& reason) {
   {
     // One that takes its time must not keep the others moving.
     std::vector<std::jthread> threads;
-    for (Device* device : devices)
-      threads.emplace_back([device, &reason] {
-        device->set_fault(reason);
-        device->do_await_rest();
-      });
+    threads.reserve(devices.size());
+    for (Device* device : devices) {
+      try {
+        threads.emplace_back([device, &reason] {
+          device->set_fault(reason);
+          device->do_await_rest();
+        });
+      } catch (const std::system_error&) {
+        device->set_fault(reason);  // no thread can be started: one after the other is better than none
+      }
+    }
   }
   const std::lock_guard lock(mutex_);
   for (Device* device : devices) release(device);

@@ -3,12 +3,13 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <exception>
 #include <thread>
 #include <vector>
 
 namespace rcs {
 
-/// Call `solve(i)` for all rows below `count`, on at most `threads` threads. On more than one it must not throw.
+/// Call `solve(i)` for all rows below `count`, on at most `threads` threads. Throws what the first of them has thrown.
 template <typename Solve>
 void over_rows(std::size_t count, int threads, const Solve& solve) {
   const auto solve_from = [&](std::size_t first, std::size_t end) {
@@ -18,10 +19,21 @@ void over_rows(std::size_t count, int threads, const Solve& solve) {
   const std::size_t cores = std::max<std::size_t>(std::thread::hardware_concurrency(), 1);
   const std::size_t workers = std::min({static_cast<std::size_t>(std::max(threads, 1)), cores, count});
   if (workers <= 1) return solve_from(0, count);
-  std::vector<std::jthread> pool;
-  for (std::size_t w = 1; w < workers; ++w)
-    pool.emplace_back([&, w] { solve_from(count * w / workers, count * (w + 1) / workers); });
-  solve_from(0, count / workers);
+  std::vector<std::exception_ptr> errors(workers);
+  const auto work = [&](std::size_t w) {
+    try {
+      solve_from(count * w / workers, count * (w + 1) / workers);
+    } catch (...) {
+      errors[w] = std::current_exception();
+    }
+  };
+  {
+    std::vector<std::jthread> pool;
+    for (std::size_t w = 1; w < workers; ++w) pool.emplace_back(work, w);
+    work(0);
+  }
+  for (const auto& error : errors)
+    if (error) std::rethrow_exception(error);
 }
 
 }  // namespace rcs

@@ -47,8 +47,9 @@ void to_ids(const Canvas& canvas, std::uint16_t* out) {
 void look_up(const std::uint8_t* canvas, const Lens& lens, int width, int height, std::uint8_t* out) {
   const std::size_t size = static_cast<std::size_t>(width) * height;
   for (std::size_t i = 0; i < size; ++i) {
-    const float x = std::clamp(lens.lookup[2 * i], 0.0F, static_cast<float>(lens.width - 1));
-    const float y = std::clamp(lens.lookup[2 * i + 1], 0.0F, static_cast<float>(lens.height - 1));
+    // In this order, so that NaN becomes 0.
+    const float x = std::min(std::max(0.0F, lens.lookup[2 * i]), static_cast<float>(lens.width - 1));
+    const float y = std::min(std::max(0.0F, lens.lookup[2 * i + 1]), static_cast<float>(lens.height - 1));
     const int left = static_cast<int>(x), top = static_cast<int>(y);
     const float right_part = x - static_cast<float>(left), lower_part = y - static_cast<float>(top);
     const std::uint8_t* corner = canvas + 3 * (static_cast<std::size_t>(top) * lens.width + left);

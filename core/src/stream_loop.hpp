@@ -120,7 +120,10 @@ struct StreamedArm::Loop {
     next = monotonic_time();
     last_tick = next;
     while (tick(late)) {
-      if (arm.options_.is_paced_by_read && is_reading) continue;
+      if (arm.options_.is_paced_by_read && is_reading) {
+        late = 0;
+        continue;
+      }
       next += tick_time;
       const timespec until{static_cast<time_t>(next), static_cast<long>((next - std::floor(next)) * 1e9)};
       while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr) == EINTR) continue;
@@ -201,6 +204,9 @@ struct StreamedArm::Loop {
     for (std::size_t i = 0; i < n; ++i)
       if (!std::isfinite(measured.joints[i]) || !std::isfinite(measured.joint_velocities[i]))
         throw DeviceFault("the device measured a value that is not finite at joint " + std::to_string(i));
+    if (const auto given = measured.commanded_joints.size(); given != 0 && given != n)
+      throw DeviceFault("the device measured " + std::to_string(given) + " commanded joints, it has " +
+                        std::to_string(n));
     if (std::isnan(measured.time)) measured.time = monotonic_time();
   }
 
@@ -242,8 +248,7 @@ struct StreamedArm::Loop {
   void answer() {
     const Request what = request;
     if (what == Request::none) return;
-    if (what == Request::clear && std::exchange(gave_way, false))
-      start();  // the hold that ended it comes with the fault
+    if (what == Request::clear) end_guiding();  // the hold that ended it comes with the fault
     try {
       take_time([&] {
         if (what == Request::give_way) {
@@ -262,6 +267,11 @@ struct StreamedArm::Loop {
     } catch (...) {
       failure = std::current_exception();
       last_tick = next = monotonic_time();
+      if (what == Request::give_way) {
+        is_led = true;  // it may have given way in part, and nobody else would hold it
+        if (const std::string text = stop_leading(); !text.empty())
+          take_time([&] { arm.set_fault("guide failed" + text); });
+      }
     }
     request = Request::none;
   }
@@ -284,7 +294,7 @@ struct StreamedArm::Loop {
       taken_holds = all;
       done = std::max(done, held.load());
       if (is_asked && now >= deadline) ++lapses;  // whoever keeps it
-      if (std::exchange(gave_way, false)) start();
+      end_guiding();
       brake();
     }
     if (is_closing) return brake();
@@ -317,6 +327,13 @@ struct StreamedArm::Loop {
     }
   }
 
+  // Lead it again. One that cannot be led is stopped: it would stay free.
+  void end_guiding() {
+    if (!gave_way.exchange(false)) return;
+    is_led = true;
+    start();
+  }
+
   bool start() {
     is_starting = true;
     return try_to("start", [this] { stand_up(); });
@@ -326,10 +343,11 @@ struct StreamedArm::Loop {
   void stand_up() {
     take_time([this] {
       arm.start();
+      is_led = true;  // from here on, what fails stops it
       read();
+      is_reading = true;  // it may have failed while a person guided the arm
     });
     stand();
-    is_led = true;
   }
 
   // Led to where it is.
@@ -399,7 +417,7 @@ struct StreamedArm::Loop {
   std::uint64_t done = 0, taken_holds = 0;
   int since = 0;          // ticks since it was followed
   bool is_asked = false;  // there is a command to follow
-  bool gave_way = false;
+  std::atomic<bool> gave_way = false;  // also read by who holds
   CommandKind kind = CommandKind::joints;  // what the arm is led by
   std::vector<double> values;              // of the last command, where that was another kind than joints
   bool is_braking = false;                 // from another kind than joints

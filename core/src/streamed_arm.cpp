@@ -6,6 +6,7 @@
 #include <thread>
 #include <utility>
 
+#include "open_devices.hpp"
 #include "rcs/result.hpp"
 #include "stream_loop.hpp"
 
@@ -45,7 +46,12 @@ StreamedArm::StreamedArm(std::string name, ArmLimits limits, StreamOptions optio
   loop_ = std::make_unique<Loop>(*this);
 }
 
-StreamedArm::~StreamedArm() { loop_->end(); }
+StreamedArm::~StreamedArm() {
+  // Another thread may still wait until the arm is at rest, which needs the loop.
+  OpenDevices::get().remove(*this);
+  OpenDevices::get().await(*this);
+  loop_->end();
+}
 
 double StreamedArm::period() const { return loop_->period; }
 
@@ -143,7 +149,7 @@ void StreamedArm::do_hold() {
   ++loop.holds;
   if (loop.thread_id == std::this_thread::get_id()) return;
   if (!loop.is_reading) throw DeviceFault(kLost);
-  if (!loop.is_led || loop.silence() <= options_.silence) return;
+  if (!(loop.is_led || loop.gave_way) || loop.silence() <= options_.silence) return;
   loop.is_abandoned = true;
   stop();
 }

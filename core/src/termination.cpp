@@ -59,9 +59,11 @@ void wait_for_signal() {
 
 void hold_at_termination() {
   if (g_process.exchange(getpid()) != getpid()) {
+    g_signal = 0;  // that of a parent
     sem_init(&g_told, 0, 0);
     std::thread(wait_for_signal).detach();
   }
+  if (g_signal != 0) return;  // it is about to be sent again, and is to end the process
   for (const int number : kSignals) {
     struct sigaction now{};
     struct sigaction ours{};

@@ -265,7 +265,8 @@ Velocities Kinematics::velocities(std::span<const double> joints, std::span<cons
                                   const VelocityOptions& options) {
   check_joints(joints);
   require(*this, twist, options);
-  const std::vector<double> lower = joint_lower(), upper = joint_upper(), q(joints.begin(), joints.end());
+  const auto [lower, upper] = joint_range();
+  const std::vector<double> q(joints.begin(), joints.end());
   Task asked;
   std::copy(twist.begin(), twist.end(), asked.begin());
   Posture posture(q.size(), asked, options.damping);
@@ -280,7 +281,7 @@ IkResult Kinematics::advance(std::span<const double> joints, std::span<const dou
   if (!(duration >= 0.0) || !std::isfinite(duration))
     throw InvalidSetup("velocity kinematics: the duration must be finite and not negative");
   const std::size_t n = joints.size();
-  std::vector<double> lower = joint_lower(), upper = joint_upper();
+  auto [lower, upper] = joint_range();
   for (std::size_t c = 0; c < n; ++c) {
     lower[c] = std::min(lower[c], joints[c]);
     upper[c] = std::max(upper[c], joints[c]);

@@ -71,6 +71,9 @@ class Servo final : public rcs::StreamedArm {
   std::vector<rcs::StreamPoint> points;
   std::atomic<int> starts = 0, stops = 0, clears = 0;
   std::atomic<bool> is_lost = false, refuses = false, is_blocked = false, sleeps = false, fails_to_stop = false;
+  std::atomic<bool> fails_to_start = false, loses_at_start = false, fails_to_give_way = false;
+  std::atomic<int> losses = 0;  // reads that fail
+  Values commanded;  // given as it is
   std::atomic<bool> has_stopped_elsewhere = false;
   bool can_guide() const override { return true; }
 
@@ -88,14 +91,17 @@ class Servo final : public rcs::StreamedArm {
     if (!is_first_) reader_ = std::this_thread::get_id();
     is_first_ = false;
     while (sleeps) std::this_thread::sleep_for(1ms);
-    if (is_lost) throw std::runtime_error("no answer from the controller");
+    if (is_lost || (losses > 0 && losses-- > 0)) throw std::runtime_error("no answer from the controller");
     const std::lock_guard lock(mutex_);
     state.joints = joints;
     state.joint_velocities.assign(3, 0.0);
+    state.commanded_joints = commanded;
   }
   void start() override {
     is_first_ = true;  // what it reads next is no tick
     ++starts;
+    if (fails_to_start) throw std::runtime_error("it does not start");
+    if (loses_at_start) is_lost = true;
   }
   void write(const rcs::StreamPoint& point) override {
     if (refuses) throw std::runtime_error("the controller is in its mode reflex");
@@ -113,7 +119,9 @@ class Servo final : public rcs::StreamedArm {
     is_first_ = true;
     refuses = false;
   }
-  void give_way() override {}
+  void give_way() override {
+    if (fails_to_give_way) throw std::runtime_error("a servo keeps its torque");
+  }
 
  private:
   const double share_;

@@ -221,6 +221,26 @@ void an_attached_body_moves_with_what_carries_it() {
   CHECK_THROWS(rcs::InvalidSetup, checker.attach(ball, ball));
 }
 
+void what_is_part_of_an_attached_body_goes_with_it() {
+  const rcs::test::Model model = rcs::test::make_model(R"(
+<mujoco>
+  <worldbody>
+    <body name="box" pos="1 1 1"><freejoint/><geom type="box" size="0.02 0.02 0.02"/>
+      <body name="lid" pos="0 0 0.3"><geom type="sphere" size="0.04"/></body></body>
+    <body name="base" pos="0 0 0.1"><geom type="box" size="0.01 0.01 0.01"/></body>
+    <body name="link">
+      <joint name="joint" axis="0 0 1" range="-3 3"/><geom type="capsule" size="0.02" fromto="0.1 0 0.4 0.3 0 0.4"/>
+    </body>
+  </worldbody>
+</mujoco>)");
+  const auto body = [&](const char* name) { return mj_name2id(model.get(), mjOBJ_BODY, name); };
+  CollisionChecker checker(model.get(), {{mj_name2id(model.get(), mjOBJ_JOINT, "joint")}});
+  const std::vector<double> q = {0.0};
+  CHECK(checker.clearance(q, 10.0).distance > 0.1);
+  checker.attach(body("box"), body("base"), rcs::Pose({0.2, 0.0, 0.0}, {0.0, 0.0, 0.0, 1.0}));
+  CHECK(checker.clearance(q, 10.0).distance < 0.0);
+}
+
 void rows_and_threads_give_what_single_calls_give() {
   Scene scene;
   CollisionChecker checker = scene.checker();
@@ -282,6 +302,7 @@ int main() {
   what_is_allowed_may_touch();
   what_moves_together_is_not_checked_and_parent_and_child_are_not();
   an_attached_body_moves_with_what_carries_it();
+  what_is_part_of_an_attached_body_goes_with_it();
   rows_and_threads_give_what_single_calls_give();
   what_makes_no_sense_is_refused();
   without_robot_geometry_there_is_nothing_to_check();

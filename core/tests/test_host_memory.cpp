@@ -33,9 +33,18 @@ void a_writer_that_takes_long_is_waited_for() {
   writer.join();
 }
 
+void a_text_ends_with_a_whole_character() {
+  rcs::HostText<8> text{};
+  text.set("\u00e9\u00e9\u00e9\u00e9");
+  CHECK(text.get() == "\u00e9\u00e9\u00e9");
+  text.set("1234567");
+  CHECK(text.get() == "1234567");
+}
+
 }  // namespace
 
 int main() {
+  a_text_ends_with_a_whole_character();
   a_writer_that_takes_long_is_waited_for();
   return rcs::test::result();
 }

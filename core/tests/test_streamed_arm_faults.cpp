@@ -130,6 +130,75 @@ void a_fault_ends_guiding_before_the_arm_recovers() {
   arm.close();
 }
 
+void an_arm_that_half_starts_or_half_gives_way_is_stopped() {
+  rcs::StreamOptions options;
+  options.missed_ticks = 10000;
+  {
+    Servo arm(options);
+    arm.open();
+    const Values here = arm.state().joints;
+    arm.loses_at_start = true;
+    arm.command_joints(here);
+    await([&] { return !arm.fault().empty(); });
+    CHECK(arm.stops == 1);
+  }
+  {
+    Servo arm(options);
+    arm.open();
+    arm.guide(true);
+    arm.fails_to_start = true;
+    arm.hold();
+    await([&] { return !arm.fault().empty(); });
+    CHECK(arm.stops == 1 && has(arm.fault(), "it does not start"));
+  }
+  {
+    Servo arm(options);
+    arm.open();
+    arm.fails_to_give_way = true;
+    CHECK(has(message_of([&] { arm.guide(true); }), "a servo keeps its torque"));
+    CHECK(arm.stops == 1);
+  }
+}
+
+void a_reading_that_is_lost_while_a_person_guides_is_recovered_from() {
+  rcs::StreamOptions options;
+  options.missed_ticks = 10000;
+  Servo arm(options);
+  arm.open();
+  arm.guide(true);
+  arm.losses = 1;
+  await([&] { return !arm.fault().empty(); });
+  arm.recover();
+  CHECK(arm.fault().empty());
+  arm.command_joints(arm.state().joints);
+}
+
+void a_guided_arm_that_hangs_is_stopped_by_who_holds_it() {
+  rcs::StreamOptions options;
+  options.missed_ticks = 10000;
+  options.silence = 0.2;
+  Servo arm(options);
+  arm.open();
+  arm.guide(true);
+  arm.sleeps = true;
+  std::this_thread::sleep_for(250ms);
+  arm.hold();
+  CHECK(arm.stops == 1);
+  arm.sleeps = false;
+  await([&] { return !arm.fault().empty(); });
+}
+
+void commanded_joints_of_another_arm_are_a_fault() {
+  Servo arm(on_a_hand_clock());
+  arm.open();
+  arm.command_joints(arm.joints);
+  arm.advance(2);
+  arm.commanded = {0.0};
+  arm.run_freely();
+  await([&] { return !arm.fault().empty(); });
+  CHECK(has(arm.fault(), "the device measured 1 commanded joints, it has 3"));
+}
+
 void another_thread_holds_and_faults_brake_within_the_limits() {
   Servo arm(on_a_hand_clock());
   arm.open();
@@ -192,6 +261,10 @@ int main() {
   too_many_missed_ticks_are_a_fault();
   a_call_that_does_not_return_is_a_fault_and_does_not_keep_the_arm_from_being_stopped();
   a_fault_ends_guiding_before_the_arm_recovers();
+  an_arm_that_half_starts_or_half_gives_way_is_stopped();
+  a_reading_that_is_lost_while_a_person_guides_is_recovered_from();
+  a_guided_arm_that_hangs_is_stopped_by_who_holds_it();
+  commanded_joints_of_another_arm_are_a_fault();
   another_thread_holds_and_faults_brake_within_the_limits();
   options_that_make_no_sense_are_refused();
   return rcs::test::result();

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -13,7 +14,7 @@ from moving import lead, wait_for_fault, wait_until
 
 from rcs.devices import Arm
 from rcs.hardware.ur import UrDriver
-from rcs.hardware.ur_controller import Dashboard
+from rcs.hardware.ur_controller import SCRIPT, Dashboard
 from rcs.robots import UR5E
 from rcs.virtual import VirtualProcess
 
@@ -64,43 +65,25 @@ def test_a_second_program_is_refused_and_the_first_goes_on(arm: Arm) -> None:
     assert answer("running") == "Program running: true"
 
 
-OTHER = """
-import sys, time
-from rcs.hardware.ur import UrDriver
-from rcs.robots import UR5E
-with UrDriver().arm(sys.argv[1], UR5E, {"rate": 125, "watchdog": 2}) as arm:
-    for line in ("leads", "goes on"):
-        arm.command_joints(arm.state().joints)
-        time.sleep(0.5)
-        print(arm.fault or line, flush=True)
-        sys.stdin.readline()
-"""
+OTHER = b"def rtde_control_of_another_computer():\n  sleep(60)\nend\n"
 
 
 @pytest.mark.parametrize("is_guided", [False, True])
 def test_a_program_that_has_taken_over_since_is_not_stopped(arm: Arm, is_guided: bool) -> None:
     lead(arm, arm.state().joints)
-    if is_guided:  # until somebody ends it at the pendant
-        arm.guide()
-        answer("stop")
-        assert "control script" in wait_for_fault(arm)
-    else:
+    if is_guided:
+        arm.guide(True)
+    answer("stop")  # as at the pendant
+    assert "control script" in wait_for_fault(arm)
+    with socket.create_connection((ADDRESS, SCRIPT)) as other:
+        other.sendall(OTHER)
+        wait_until(lambda: answer("running") == "Program running: true")
         arm.recover()
-    other = subprocess.Popen(
-        [sys.executable, "-c", OTHER, ADDRESS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    assert other.stdin is not None
-    assert other.stdout is not None
-    with other:
-        assert other.stdout.readline() == "leads\n"
-        if not is_guided:
-            arm.command_joints(arm.state().joints)
-            assert "a program already runs" in wait_for_fault(arm)
+        arm.command_joints(arm.state().joints)
+        assert "a program already runs" in wait_for_fault(arm)
         arm.recover()
-        other.stdin.write("\n")
-        other.stdin.flush()
-        assert other.stdout.readline() == "goes on\n"
-        other.stdin.write("\n")
+        assert answer("running") == "Program running: true"
+    answer("stop")
 
 
 ORPHAN = """

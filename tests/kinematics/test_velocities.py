@@ -233,3 +233,32 @@ def test_what_makes_no_sense_is_refused(arm: Arm, twist: Any, duration: float, o
 def test_options_that_make_no_sense_are_refused(bad: Any) -> None:
     with pytest.raises(InvalidSetup, match="VelocityOptions"):
         VelocityOptions(**bad)
+
+
+def test_kinematics_in_python_with_too_few_limits_are_refused() -> None:
+    class Short(Kinematics):
+        def _dof(self) -> int:
+            return 3
+
+        def _joint_lower(self) -> list[float]:
+            return [-1.0] * 2
+
+        def _joint_upper(self) -> list[float]:
+            return [1.0] * 3
+
+        def _forward(self, joints: Any) -> Pose:
+            return Pose(joints)
+
+    for call in (
+        lambda: Short().advance(np.zeros(3), np.ones(6) * 0.1, 0.1),
+        lambda: Short().velocities(np.zeros(3), np.ones(6) * 0.1),
+        lambda: Short().inverse(Pose(), np.zeros(3)),
+    ):
+        with pytest.raises(InvalidSetup, match="2 limits, the arm has 3 joints"):
+            call()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_twists_beyond_all_numbers_are_an_error_on_every_thread(arm: Arm, threads: int) -> None:
+    with pytest.raises(ValueError, match="finite"):
+        arm[1].advance_batch(np.tile(arm[0].home, (2, 1)), np.full((2, 6), 1e200), 0.1, threads=threads)

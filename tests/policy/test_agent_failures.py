@@ -213,3 +213,20 @@ def test_the_policy_of_one_robot_holds_while_a_device_is_lost(monkeypatch: pytes
                 monkeypatch.setattr(env, "rebase", lost)
             observation, *_, info = env.step(both.act(observation, info))
         assert both.notes()["right/policy_is_held"]
+
+
+def test_every_retry_is_in_a_new_session(env: Env) -> None:
+    class Flaky(Swing):
+        left = 2
+
+        def infer(self, observation: Observation) -> Chunk:
+            if self.left:
+                self.left -= 1
+                raise ConnectionLost(f"gone, {self.left} left")
+            return super().infer(observation)
+
+    policy = Flaky()
+    agent = ChunkAgent(env, policy, execution=Execution(retry=0.1))
+    rollout(env, agent, 20)
+    assert agent.error is None
+    assert len(policy.resets) == 3, "that of the episode, and one for each retry"

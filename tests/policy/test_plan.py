@@ -180,3 +180,10 @@ def test_rotations_are_averaged_on_one_side() -> None:
 def test_what_is_not_finite_never_becomes_a_plan(actions: np.ndarray, period: float) -> None:
     with pytest.raises(InvalidSetup, match="not finite"):
         ChunkPlan([JOINTS], actions, time=0.0, period=period)
+
+
+def test_the_opening_at_the_very_end_of_a_chunk_is_that_of_its_last_row() -> None:
+    plan = ChunkPlan([Part("gripper", slice(0, 1), "opening")], np.arange(4.0)[:, None], time=0.0, period=1.0)
+    command = plan.at(4 - 1.5e-6, 1.0)
+    assert command is not None
+    assert command["gripper"].tolist() == [3.0]

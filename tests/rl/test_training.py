@@ -99,3 +99,7 @@ def test_the_recipe_of_a_task_without_one_is_for_that_task() -> None:
     assert recipe_for("StackCuboid").setup == replace(recipe_for("PickCuboid").setup, task="StackCuboid")
     assert recipe_for("PickCuboid").on("ur5e").setup.robot == "ur5e"
     assert isinstance(rcs.Setup(), type(recipe_for("PickCuboid").setup))
+
+
+def test_a_recipe_by_sight_has_small_pictures_whatever_the_task() -> None:
+    assert recipe_for("Place", "dagger", cameras=("wrist",)).setup.cameras.image_size == (64, 64)

@@ -194,3 +194,11 @@ def test_a_joint_outside_its_range_may_stay_goes_no_farther_and_comes_back() -> 
     way = led.go(home, 60)[:, 0, 3]
     assert np.all(np.diff(way) <= 1e-9)
     assert way[-1] == pytest.approx(home[3], abs=1e-9)
+
+
+def test_memory_that_would_be_copied_is_refused() -> None:
+    trajectory = Trajectory(FR3.motion_limits)
+    size = Trajectory.size(7)
+    for memory in (np.zeros((size, 2))[:, 0], np.zeros(size, np.float32), [0.0] * size):
+        with pytest.raises(TypeError):
+            trajectory.follow(memory, 0.1)  # pyright: ignore[reportArgumentType]

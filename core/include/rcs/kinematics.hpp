@@ -127,6 +127,8 @@ class Kinematics {
   void check_joints(std::span<const double> joints) const;
   /// Throws `InvalidSetup` for options of another number of joints.
   void check_options(const IkOptions& options) const;
+  /// Lower and upper limits. Throws `InvalidSetup` unless each joint has both.
+  std::array<std::vector<double>, 2> joint_range() const;
 };
 
 /// Damped least squares on a chain of hinges and slides, with the joint limits inside the solve.

@@ -82,3 +82,15 @@ def test_a_record_that_was_cut_off_by_a_kill_is_read_up_to_there(tmp_path: Path)
 def test_actions_that_are_not_finite_never_leave() -> None:
     with pytest.raises(InvalidInput, match="Row 1"):
         Chunk(np.array([[0.0], [np.nan]]), 0.1)
+
+
+def test_pictures_of_the_goal_are_made_as_large_too() -> None:
+    shapes: list[tuple[int, ...]] = []
+
+    def look(observation: Observation, instruction: str) -> np.ndarray:
+        shapes.append(observation.goals["side"].shape)
+        return np.zeros((1, 3))
+
+    image = np.zeros((48, 64, 3), np.uint8)
+    Resized(ScriptedPolicy(look, METADATA)).infer(Observation(images={"side": image}, goals={"side": image}))
+    assert shapes == [(20, 20, 3)]

@@ -268,7 +268,9 @@ class ChunkAgent(Agent):
                     raise WrongOrder("The episode of this question is over.")
                 if self._needs_reset:
                     self._begin()
+                self._needs_reset = True  # until it answers: only the first of several failures is seen by `_lose`
                 chunk = self._policy.infer(seen)
+                self._needs_reset = False
             if chunk.actions.shape[1] != self.metadata.size:
                 raise self._v.BadMessage(
                     f"The policy sent actions of {chunk.actions.shape[1]} numbers; it announced {self.metadata.size}."

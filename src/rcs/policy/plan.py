@@ -183,7 +183,8 @@ class ChunkPlan(Plan):
     def _value(self, part: Part, first: float, last: float) -> Array:
         rows = self._rows[part.name]
         if part.kind == "opening":
-            return rows[math.floor((first + last) / 2 + NEAR)]  # where most of the step is, whatever clocks jitter
+            row = math.floor((first + last) / 2 + NEAR)  # where most of the step is, whatever clocks jitter
+            return rows[min(row, self._count - 1)]
         if part.is_difference or part.kind == "velocity":
             return self._motion(part, rows, first, last)
         index = math.ceil(last - NEAR) - 1

@@ -131,7 +131,8 @@ class DaggerLearner(Learner):
             action = self.flat.action(np.where(self._is_taught[:, None], wanted, own))
         self._observation, _, terminated, truncated, self._info = self.envs.step(action)
         if (is_over := terminated | truncated).any():
-            self._ends.extend(terminated[is_over & ~self._is_taught].tolist())
+            if (success := self._info["final_info"].get("success")) is not None:
+                self._ends.extend(success[is_over & ~self._is_taught].tolist())
             self._is_taught[is_over] = self._rng.random(int(is_over.sum())) < self._share()
 
     def _share(self) -> float:

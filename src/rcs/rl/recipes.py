@@ -105,7 +105,7 @@ def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[st
     recipe = RECIPES.get((task, algorithm), RECIPES["PickCuboid", algorithm])
     setup = replace(recipe.setup, task=task)
     if cameras and isinstance(recipe.algorithm, Dagger):
-        setup = replace(setup, cameras=replace(setup.cameras, names=cameras), observe=())
+        setup = replace(setup, cameras=replace(_SEEN.cameras, names=cameras), observe=())
     elif cameras:
         setup = replace(setup, cameras=Cameras(names=cameras, image_size=84, pixels=True), observe=())
         setup = replace(setup, control="joints", layers=())

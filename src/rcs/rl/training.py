@@ -64,7 +64,8 @@ class Dagger(Record):
     """
 
     teacher: str = "PickTeacher"
-    """The teacher: an agent without memory, by its name or as `module:Class`, or the folder of a checkpoint."""
+    """The teacher: an agent that acts by the observation alone, without memory and info; by its name or as
+    `module:Class`, or the folder of a checkpoint."""
     fade: Annotated[float, Meta(ge=0, le=1)] | None = 0.15
     """Over this share of all steps, the share of episodes in which the teacher acts falls from 1 to 0. With None it
     acts in all: behaviour cloning, in which the student never gets into states of its own."""

@@ -56,11 +56,14 @@ class Resized(Around):
     def infer(self, observation: Observation) -> Chunk:
         """Resize, and ask."""
         sizes = {image.name: (image.height, image.width) for image in self.inside.metadata().images}
-        images = {
-            name: _fitted(image, *sizes[name]) if all(sizes.get(name, (0, 0))) else image
-            for name, image in observation.images.items()
-        }
-        return self.inside.infer(replace(observation, images=images))
+        images, goals = (
+            {
+                name: _fitted(image, *sizes[name]) if all(sizes.get(name, (0, 0))) else image
+                for name, image in shown.items()
+            }
+            for shown in (observation.images, observation.goals)
+        )
+        return self.inside.infer(replace(observation, images=images, goals=goals))
 
 
 def resized(image: NDArray[np.uint8], height: int, width: int) -> NDArray[np.uint8]:

@@ -97,17 +97,22 @@ class MissingSimulator(VlagentsError, ImportError):
         )
 
 
+LONGEST_TEXT = 10_000
+"""Most letters of an error on a wire."""
+
+
 def as_failure(error: BaseException) -> dict[str, object]:
     """Return an error as a wire carries it."""
     is_ours = isinstance(error, VlagentsError)
     text = str(error) if is_ours else f"{type(error).__name__}: {error}"
-    return {"kind": error.kind if is_ours else PolicyFailed.kind, "text": text}
+    shown = text[:LONGEST_TEXT].encode(errors="replace").decode()
+    return {"kind": error.kind if is_ours else PolicyFailed.kind, "text": shown}
 
 
 def from_failure(failure: object) -> VlagentsError:
     """Return the error that a wire carried; one of an unknown kind is a `PolicyFailed`."""
     fields = failure if isinstance(failure, dict) else {}
-    kind, text = fields.get("kind"), str(fields.get("text", "no reason was given"))[:10_000]
+    kind, text = fields.get("kind"), str(fields.get("text", "no reason was given"))[:LONGEST_TEXT]
     for known in (InvalidInput, SimulatorTaken, BadMessage, ConnectionLost, DeadlineExceeded, Unauthorized):
         if kind == known.kind:
             return known(text)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from vlagents.chunk import Chunk
-from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Unauthorized, VlagentsError
+from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, PolicyFailed, Unauthorized, VlagentsError
 from vlagents.metadata import Metadata
 from vlagents.observation import Observation
 from vlagents.policy import Policy
@@ -277,5 +277,7 @@ class Service:
             if self._is_closed:
                 raise ConnectionLost("The server is closing.")
             return act()
+        except (BadMessage, Unauthorized) as error:  # of a server that the policy asks: the caller did nothing wrong
+            raise PolicyFailed(f"{type(error).__name__}: {error}") from error
         finally:
             self._turn.release()

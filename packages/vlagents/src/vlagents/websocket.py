@@ -19,6 +19,7 @@ from vlagents.errors import (
     BadMessage,
     ConnectionLost,
     InvalidInput,
+    PolicyFailed,
     Unauthorized,
     VlagentsError,
     as_failure,
@@ -105,6 +106,8 @@ class WebsocketClient(RemotePolicy):
             except VlagentsError:
                 self._lose(channel)
                 raise
+            if isinstance(message, str):
+                self._lose(channel)  # openpi's servers close behind it
             try:
                 return self._read(message)
             except BadMessage:
@@ -113,7 +116,7 @@ class WebsocketClient(RemotePolicy):
 
     def _read(self, message: str | memoryview) -> dict[str, Any]:
         if isinstance(message, str):  # openpi's way to say what went wrong; it closes then
-            raise BadMessage(f"{self.address} failed: {message[:4000]}")
+            raise PolicyFailed(f"{self.address} failed: {message[:4000]}")
         answer = unpack(message)
         if not isinstance(answer, dict):
             raise BadMessage(f"{self.address} sent {type(answer).__name__}; valid is a dictionary.")

@@ -281,3 +281,26 @@ def test_a_request_of_openvla_without_an_instruction_is_refused_in_words(
 def test_a_server_without_a_port_takes_that_of_its_wire() -> None:
     assert [kind(Echo()).address.port for kind in (GrootServer, OpenvlaServer)] == [5555, 8000]
     assert OpenvlaServer(Echo(), port=8123).address.port == 8123
+
+
+def test_a_body_that_trickles_is_late_at_the_deadline() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def answer() -> None:
+            peer, _ = listening.accept()
+            with peer:
+                peer.sendall(b"HTTP/1.0 200 OK\r\nContent-Length: 40\r\n\r\n")
+                for _ in range(20):
+                    try:
+                        peer.sendall(b" ")
+                    except OSError:
+                        return
+                    time.sleep(0.2)
+
+        threading.Thread(target=answer, daemon=True).start()
+        address = f"openvla+http://127.0.0.1:{listening.getsockname()[1]}"
+        with connect(address, metadata=METADATA, timeout=0.5) as client:
+            begin = time.monotonic()
+            with pytest.raises(DeadlineExceeded):
+                client.infer(OBSERVATION)
+            assert time.monotonic() - begin < 2.0

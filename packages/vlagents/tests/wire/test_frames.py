@@ -159,3 +159,10 @@ def test_pings_are_answered_while_nobody_receives_and_messages_wait(raw: Any) ->
     answers.attend()
     assert left.recv(100) == bytes([0x8A, 1]) + b"1" + bytes([0x8A, 1]) + b"2"
     assert bytes(answers.receive(soon())) == b"message"
+
+
+def test_pings_are_not_read_while_another_thread_writes(channels: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    asks, _ = channels
+    with asks._writing:
+        monkeypatch.setattr(asks._link, "peek", lambda: pytest.fail("it was read"))
+        asks.attend()

@@ -92,3 +92,14 @@ def test_a_server_without_a_websocket_is_a_typed_error(answer: bytes, error: typ
             ask(link, "ws://127.0.0.1:1", {"Authorization": "Api-Key secret"}, soon())
         assert b"\r\nAuthorization: Api-Key secret\r\n" in bare.recv(10_000)
         link.close()
+
+
+def test_a_page_is_refused_whatever_it_asks_for() -> None:
+    bare, other = socket.socketpair()
+    with bare:
+        bare.sendall(REQUEST + b"Origin: http://x\r\n\r\n")
+        link = Link(other)
+        with pytest.raises(BadMessage, match="http://x"):
+            accept(link, soon(), lambda request: (200, "OK\n"))
+        link.close()
+        assert bare.recv(1000)[:12] == b"HTTP/1.1 403"

@@ -19,7 +19,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from vlagents.chunk import Chunk
-from vlagents.errors import BadMessage, InvalidInput, PolicyFailed, Unauthorized, VlagentsError
+from vlagents.errors import LONGEST_TEXT, BadMessage, InvalidInput, PolicyFailed, Unauthorized, VlagentsError
 from vlagents.observation import Observation
 from vlagents.remote import RemotePolicy
 from vlagents.service import Caller
@@ -178,7 +178,7 @@ class GrootServer(WireServer):
 
 
 def _text(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"
+    return f"{type(error).__name__}: {error}"[:LONGEST_TEXT].encode(errors="replace").decode()
 
 
 def _observation(given: Any) -> Observation:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import contextlib
 import http.client
 import json
 import logging
@@ -78,16 +79,20 @@ class OpenvlaClient(RemotePolicy):
         if self._token is not None:
             headers["Authorization"] = f"Bearer {self._token}"
 
+        wire: list[socket.socket] = []  # the library forgets it before it reads the body of a last answer
+
         def end() -> None:  # a server that sends byte by byte is late at the deadline, too
             late.set()
-            if connection.sock is not None:
-                connection.sock.shutdown(socket.SHUT_RDWR)
+            with contextlib.suppress(OSError):
+                wire[0].shutdown(socket.SHUT_RDWR)
 
         timer = threading.Timer(self.timeout, end)
         try:
             connection.connect()
+            wire.append(connection.sock)
             timer.start()
-            connection.request("POST", "/act", data, headers)
+            with contextlib.suppress(ConnectionError):  # one that refuses a token answers, and reads no further
+                connection.request("POST", "/act", data, headers)
             answer = connection.getresponse()
             found = bytearray()
             while part := answer.read1(1 << 20):

@@ -167,7 +167,7 @@ class LerobotPolicy(SessionPolicy[Memory]):
             horizon=int(queues[ACTION].maxlen if self._is_remembering else config.chunk_size),
             rate=settings.rate,
             checkpoint=str(folder),
-            checkpoint_hash=hash_of(folder),
+            checkpoint_hash=hash_of(folder, settings),
             data_hash=settings.data_hash,
         )
 

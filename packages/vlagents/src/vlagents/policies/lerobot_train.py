@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -24,6 +25,8 @@ from vlagents.policies.torch_stack import import_stack
 
 BEGUN_WITH = 256
 """Frames of each camera from which the normalisation of a backbone begins."""
+MOST_PIXELS = 32_000_000
+"""Most pixels of all these frames together; their first features take some GB."""
 
 
 def main(words: Sequence[str]) -> None:
@@ -117,7 +120,9 @@ def begin(torch: Any, options: dict[str, Any], policy: dict[str, Any], folder: P
 
 def set_statistics(torch: Any, frozen: type[Any], model: Any, dataset: Any) -> None:
     """Set the frozen statistics of a model's backbone to those of the dataset's frames."""
-    rows = torch.randperm(len(dataset), generator=torch.Generator().manual_seed(0))[:BEGUN_WITH]
+    pixels = sum(math.prod(feature.shape[-2:]) for feature in model.config.image_features.values())
+    count = min(BEGUN_WITH, max(MOST_PIXELS // pixels, 16))
+    rows = torch.randperm(len(dataset), generator=torch.Generator().manual_seed(0))[:count]
     items = [dataset[int(row)] for row in rows]
     frames: list[Any] = []
     for key in model.config.image_features:
@@ -130,8 +135,10 @@ def set_statistics(torch: Any, frozen: type[Any], model: Any, dataset: Any) -> N
 
     backbone = model.model.backbone
     hooks = [part.register_forward_pre_hook(set_own) for part in backbone.modules() if isinstance(part, frozen)]
+    size = frames[0].shape[2:]  # one batch needs one size; for mean and variance, a nearby one does
+    alike = [one if one.shape[2:] == size else torch.nn.functional.interpolate(one, size=tuple(size)) for one in frames]
     with torch.no_grad():
-        backbone(torch.cat(frames).to(next(backbone.parameters()).device))
+        backbone(torch.cat(alike).to(next(backbone.parameters()).device))
     for hook in hooks:
         hook.remove()
 

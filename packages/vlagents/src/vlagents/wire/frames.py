@@ -66,8 +66,12 @@ class FrameChannel(Channel):
         if not self._reading.acquire(blocking=False):
             return
         try:
-            while self._pass_control(self._link.peek()):
-                pass
+            if self._writing.acquire(blocking=False):  # TLS takes one thread at a time, to read or to write
+                try:
+                    while self._pass_control(self._link.peek()):
+                        pass
+                finally:
+                    self._writing.release()
         except (VlagentsError, OSError):
             pass  # the next call of `receive` raises it
         finally:
@@ -220,12 +224,7 @@ class FrameChannel(Channel):
             return False
         data = bytes(ahead[long : long + count])
         if ahead[0] & 0x0F == PING:
-            if not self._writing.acquire(blocking=False):
-                return False
-            try:
-                self._write(PONG, [_unmasked(data, bytes(ahead[2:long]))], Deadline(0.1, "reading of a pong"))
-            finally:
-                self._writing.release()
+            self._write(PONG, [_unmasked(data, bytes(ahead[2:long]))], Deadline(0.1, "reading of a pong"))
         self._link.skip(long + count)
         return True
 
