@@ -89,8 +89,8 @@ void bind_trajectory(nb::module_& m) {
           "Plan the motion of a step that lasts `period` [s], or until the target is reached, with a share of the "
           "acceleration.")
       .def(
-          "brake", [](rcs::Trajectory& t, const Memory& memory) { t.brake(memory_of(t, memory), 1.0); }, "memory"_a.noconvert(),
-          "Brake to rest, all joints together on a straight line where they can.")
+          "brake", [](rcs::Trajectory& t, const Memory& memory) { t.brake(memory_of(t, memory), 1.0); },
+          "memory"_a.noconvert(), "Brake to rest, all joints together on a straight line where they can.")
       .def(
           "advance",
           [](rcs::Trajectory& t, const Memory& memory, double time) { t.advance(memory_of(t, memory), time); },

@@ -147,8 +147,8 @@ Device::TimePoint Device::exchange_deadline(double valid_for) {
   deadline_ = is_ending ? monotonic_time() + valid_for : kForever;
   const std::chrono::duration<double> time(is_ending ? valid_for : 0.0);
   const TimePoint former = OpenDevices::get().exchange_deadline(
-      *this, is_ending ? steady_clock::now() + std::chrono::duration_cast<steady_clock::duration>(time)
-                       : OpenDevices::kNever);
+      *this,
+      is_ending ? steady_clock::now() + std::chrono::duration_cast<steady_clock::duration>(time) : OpenDevices::kNever);
   has_deadline_ = is_ending;  // last: a stop that comes between would leave a deadline that nobody takes away
   return former;
 }
@@ -194,6 +194,7 @@ void Device::set_fault(const std::string& reason) {
 
 void Device::recover() {
   require_open("recover");
+  do_settle();
   {
     const std::lock_guard lock(fault_mutex_);
     is_recovering_ = true;

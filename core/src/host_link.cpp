@@ -209,6 +209,11 @@ void HostLink::lose(const std::string& reason, bool kills) {
   wake_all(memory_->done);
   wake_all(memory_->held);
   tell(device_, reason);
+  has_told_of_loss_ = true;
+}
+
+void HostLink::settle() const {
+  while (is_lost_ && !has_told_of_loss_) std::this_thread::sleep_for(std::chrono::milliseconds(1));
 }
 
 void HostLink::look_after() {

@@ -31,6 +31,8 @@ class HostLink {
                  double period = 0.0);
   /// The last call: that the host ends the connection after it is no fault.
   void close();
+  /// Return when the device was told of the loss of the host, if it is lost.
+  void settle() const;
   void recover();
   void hold();
   HostMeasured measured();
@@ -57,7 +59,7 @@ class HostLink {
   std::atomic<bool> is_recovering_;
   std::atomic<std::uint32_t> late_ = 0;  // the newest command whose end nobody has waited for
   std::atomic<std::uint32_t> told_ = 0;  // the newest refusal that somebody knows of
-  std::atomic<bool> is_lost_ = false;
+  std::atomic<bool> is_lost_ = false, has_told_of_loss_ = false;
   std::atomic<bool> ends_ = false;
   std::mutex mutex_;
   std::string reason_;

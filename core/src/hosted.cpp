@@ -41,6 +41,10 @@ void HostLine::hold() {
   if (const auto link = this->link()) link->hold();
 }
 
+void HostLine::settle() {
+  if (const auto link = this->link()) link->settle();
+}
+
 void HostLine::recover() {
   auto link = this->link();
   if (link->is_lost()) {

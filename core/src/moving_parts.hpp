@@ -64,7 +64,7 @@ class MovingParts {
   std::vector<std::uint64_t> movers_;
   std::vector<std::uint8_t> is_done_;
   std::vector<std::uint8_t> is_placed_;  ///< per body: whether it is in `bodies_`
-  std::vector<Body> bodies_;  ///< parents first
+  std::vector<Body> bodies_;             ///< parents first
   std::vector<Joint> joints_;
   std::vector<double> levers_;
 };

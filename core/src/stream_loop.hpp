@@ -415,9 +415,9 @@ struct StreamedArm::Loop {
   ArmState measured;
   double deadline = kForever;
   std::uint64_t done = 0, taken_holds = 0;
-  int since = 0;          // ticks since it was followed
-  bool is_asked = false;  // there is a command to follow
-  std::atomic<bool> gave_way = false;  // also read by who holds
+  int since = 0;                           // ticks since it was followed
+  bool is_asked = false;                   // there is a command to follow
+  std::atomic<bool> gave_way = false;      // also read by who holds
   CommandKind kind = CommandKind::joints;  // what the arm is led by
   std::vector<double> values;              // of the last command, where that was another kind than joints
   bool is_braking = false;                 // from another kind than joints

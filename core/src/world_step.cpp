@@ -288,7 +288,8 @@ std::vector<double> World::preview(const std::shared_ptr<Motion>& motion, int co
   check_copy(copy);
   if (std::ranges::find(motions_, motion) == motions_.end())
     throw InvalidSetup("world: the motion to preview is not one of this world");
-  if ((!target.empty() && target.size() != static_cast<std::size_t>(motion->dof())) || !(tick > 0.0 && std::isfinite(tick)))
+  if ((!target.empty() && target.size() != static_cast<std::size_t>(motion->dof())) ||
+      !(tick > 0.0 && std::isfinite(tick)))
     throw InvalidSetup("world: a preview needs a target with one number per joint, " + std::to_string(motion->dof()) +
                        ", and a tick above 0");
   Preview asked{motion.get(), target, tick, {}};

@@ -73,7 +73,7 @@ class Servo final : public rcs::StreamedArm {
   std::atomic<bool> is_lost = false, refuses = false, is_blocked = false, sleeps = false, fails_to_stop = false;
   std::atomic<bool> fails_to_start = false, loses_at_start = false, fails_to_give_way = false;
   std::atomic<int> losses = 0;  // reads that fail
-  Values commanded;  // given as it is
+  Values commanded;             // given as it is
   std::atomic<bool> has_stopped_elsewhere = false;
   bool can_guide() const override { return true; }
 

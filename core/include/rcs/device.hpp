@@ -133,6 +133,8 @@ class RCS_API Device {
   virtual bool do_has_arrived() { return true; }
   /// Give way to a person's hand until `do_hold`.
   virtual void do_guide() {}
+  /// Return when no thread is about to tell of a fault that was found before: `recover` would take it for a new one.
+  virtual void do_settle() {}
   /// Leave the device's own fault state, in which it may refuse to hold.
   virtual void do_recover() {}
   /// Let go of what `do_open` took, all of it or the part that it had when it failed.

@@ -67,6 +67,7 @@ class HostLine {
   void open();
   void close();
   void hold();
+  void settle();
   void recover();
   void guide();
   bool has_arrived();
@@ -104,6 +105,7 @@ class Hosted : public Base {
   void do_open() override { line_.open(); }
   void do_close() override { line_.close(); }
   void do_hold() override { line_.hold(); }
+  void do_settle() override { line_.settle(); }
   void do_recover() override { line_.recover(); }
   void do_guide() override { line_.guide(); }
   bool do_has_arrived() override { return line_.has_arrived(); }
