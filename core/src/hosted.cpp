@@ -48,6 +48,7 @@ void HostLine::settle() {
 void HostLine::recover() {
   auto link = this->link();
   if (link->is_lost()) {
+    link->settle();  // it may be lost only now, and its thread must not outlive the last reference to it
     link = std::make_shared<HostLink>(device_, connect_(), answer_, true);  // if it throws, the lost one stays
     exchange(link);
   }

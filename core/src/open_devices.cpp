@@ -75,6 +75,7 @@ void OpenDevices::stop_all(const std::string& reason) {
   for (Device* device : devices) device->mark_fault(reason);
   {
     // One that takes its time must not keep the others moving.
+    std::vector<Device*> alone;
     std::vector<std::jthread> threads;
     threads.reserve(devices.size());
     for (Device* device : devices) {
@@ -85,8 +86,10 @@ void OpenDevices::stop_all(const std::string& reason) {
         });
       } catch (const std::system_error&) {
         device->set_fault(reason);  // no thread can be started: one after the other is better than none
+        alone.push_back(device);
       }
     }
+    for (Device* device : alone) device->do_await_rest();
   }
   const std::lock_guard lock(mutex_);
   for (Device* device : devices) release(device);

@@ -138,7 +138,10 @@ struct StreamedArm::Loop {
   bool tick(int late) {
     last_tick = monotonic_time();
     if (is_reading) try_to("read", [this] { read(); });
-    if (is_abandoned.exchange(false)) break_down(silent_text());
+    if (is_abandoned.exchange(false)) {
+      if (gave_way.exchange(false)) is_led = true;  // as a led one: stopped, and not started before `recover`
+      break_down(silent_text());
+    }
     if (is_led && late > arm.options_.missed_ticks) {
       const std::string advice = real_time.advice();
       break_down("the arm's thread came " + std::to_string(late) + " ticks too late: this machine is busy" +
@@ -195,19 +198,22 @@ struct StreamedArm::Loop {
   }
 
   void read() {
-    measured.time = measured.device_time = kNaN;
-    arm.read(measured);
+    // What is refused must not be published: others index its rows.
+    fresh = measured;
+    fresh.time = fresh.device_time = kNaN;
+    arm.read(fresh);
     const auto n = static_cast<std::size_t>(arm.dof());
-    if (measured.joints.size() != n || measured.joint_velocities.size() != n)
-      throw DeviceFault("the device measured " + std::to_string(measured.joints.size()) + " joints, it has " +
+    if (fresh.joints.size() != n || fresh.joint_velocities.size() != n)
+      throw DeviceFault("the device measured " + std::to_string(fresh.joints.size()) + " joints, it has " +
                         std::to_string(n));
     for (std::size_t i = 0; i < n; ++i)
-      if (!std::isfinite(measured.joints[i]) || !std::isfinite(measured.joint_velocities[i]))
+      if (!std::isfinite(fresh.joints[i]) || !std::isfinite(fresh.joint_velocities[i]))
         throw DeviceFault("the device measured a value that is not finite at joint " + std::to_string(i));
-    if (const auto given = measured.commanded_joints.size(); given != 0 && given != n)
+    if (const auto given = fresh.commanded_joints.size(); given != 0 && given != n)
       throw DeviceFault("the device measured " + std::to_string(given) + " commanded joints, it has " +
                         std::to_string(n));
-    if (std::isnan(measured.time)) measured.time = monotonic_time();
+    if (std::isnan(fresh.time)) fresh.time = monotonic_time();
+    std::swap(measured, fresh);
   }
 
   // Stop first: an exception from Python waits for the interpreter to give its message.
@@ -412,7 +418,7 @@ struct StreamedArm::Loop {
   unsigned forked = 0;
   double next = 0.0;                // s, when the next tick is
   double closing_since = kForever;  // s
-  ArmState measured;
+  ArmState measured, fresh;         // `fresh` is not checked yet
   double deadline = kForever;
   std::uint64_t done = 0, taken_holds = 0;
   int since = 0;                           // ticks since it was followed

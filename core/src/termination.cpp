@@ -12,6 +12,7 @@
 #include <memory>
 #include <semaphore>
 #include <string>
+#include <system_error>
 #include <thread>
 
 #include "rcs/device.hpp"
@@ -47,10 +48,15 @@ void wait_for_signal() {
   }
   const int number = g_signal;
   const auto held = std::make_shared<std::binary_semaphore>(0);
-  std::thread([number, held] {
+  const auto stop = [number, held] {
     stop_all(std::string("the program was told to end (") + strsignal(number) + ")");
     held->release();
-  }).detach();
+  };
+  try {
+    std::thread(stop).detach();
+  } catch (const std::system_error&) {
+    stop();  // no thread can be started
+  }
   static_cast<void>(held->try_acquire_for(kLongest));
   kill(getpid(), number);
 }

@@ -186,6 +186,8 @@ void a_guided_arm_that_hangs_is_stopped_by_who_holds_it() {
   CHECK(arm.stops == 1);
   arm.sleeps = false;
   await([&] { return !arm.fault().empty(); });
+  std::this_thread::sleep_for(20ms);
+  CHECK(arm.starts == 0);
 }
 
 void commanded_joints_of_another_arm_are_a_fault() {
@@ -193,10 +195,11 @@ void commanded_joints_of_another_arm_are_a_fault() {
   arm.open();
   arm.command_joints(arm.joints);
   arm.advance(2);
-  arm.commanded = {0.0};
+  arm.commanded = {0.1};  // near the first joint, so that the next one is looked at
   arm.run_freely();
   await([&] { return !arm.fault().empty(); });
   CHECK(has(arm.fault(), "the device measured 1 commanded joints, it has 3"));
+  static_cast<void>(arm.has_arrived());
 }
 
 void another_thread_holds_and_faults_brake_within_the_limits() {

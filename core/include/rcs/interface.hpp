@@ -3,7 +3,7 @@
 
 /// Counts the changes after which a device has to be compiled anew.
 #ifndef RCS_INTERFACE_VERSION
-#define RCS_INTERFACE_VERSION 4
+#define RCS_INTERFACE_VERSION 5
 #endif
 
 #define RCS_API __attribute__((visibility("default")))

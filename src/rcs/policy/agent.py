@@ -270,7 +270,7 @@ class ChunkAgent(Agent):
                     self._begin()
                 self._needs_reset = True  # until it answers: only the first of several failures is seen by `_lose`
                 chunk = self._policy.infer(seen)
-                self._needs_reset = False
+                self._needs_reset = episode != self._episode  # a reset may have come meanwhile
             if chunk.actions.shape[1] != self.metadata.size:
                 raise self._v.BadMessage(
                     f"The policy sent actions of {chunk.actions.shape[1]} numbers; it announced {self.metadata.size}."

@@ -154,6 +154,8 @@ class Service:
         waiting, working = asked.begun - begin, time.perf_counter() - asked.begun
         if asked.error is not None:
             try:
+                if isinstance(asked.error, (BadMessage, Unauthorized)):  # as in `_in_turn`
+                    raise PolicyFailed(f"{type(asked.error).__name__}: {asked.error}") from asked.error
                 raise asked.error
             finally:
                 asked.error = None  # or error and observation would keep each other
