@@ -1,12 +1,11 @@
 #include <algorithm>
 #include <cmath>
-#include <exception>
 #include <limits>
-#include <thread>
 
 #include "collision_scene.hpp"
 #include "geom_bound.hpp"
 #include "geom_distance.hpp"
+#include "over_rows.hpp"
 #include "trap.hpp"
 
 namespace rcs {
@@ -168,26 +167,10 @@ void CollisionChecker::check_rows(std::span<const double> q, const char* what) c
 
 template <typename Work>
 void CollisionChecker::for_rows(std::size_t count, int threads, Work work) const {
-  // More threads than cores help nobody, and a machine may refuse to start them.
-  const std::size_t cores = std::max<std::size_t>(std::thread::hardware_concurrency(), 1);
-  const std::size_t workers =
-      std::max<std::size_t>(std::min({static_cast<std::size_t>(std::max(threads, 1)), cores, count}), 1);
-  std::vector<std::exception_ptr> errors(workers);
-  const auto run = [&](std::size_t w) {
-    try {
-      const Lease scratch = borrow();
-      for (std::size_t i = count * w / workers; i < count * (w + 1) / workers; ++i) work(*scratch, i);
-    } catch (...) {
-      errors[w] = std::current_exception();
-    }
-  };
-  {
-    std::vector<std::jthread> pool;
-    for (std::size_t w = 1; w < workers; ++w) pool.emplace_back(run, w);
-    run(0);
-  }
-  for (const auto& error : errors)
-    if (error) std::rethrow_exception(error);
+  over_shares(count, threads, [&](std::size_t first, std::size_t end) {
+    const Lease scratch = borrow();
+    for (std::size_t i = first; i < end; ++i) work(*scratch, i);
+  });
 }
 
 std::vector<Clearance> CollisionChecker::clearance_rows(std::span<const double> q, double margin, int threads) const {
