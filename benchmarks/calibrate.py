@@ -47,9 +47,11 @@ from rcs.setups.mounted_camera import MountedCamera
 from rcs.spatial import Intrinsics, Pose
 
 CAMERAS = {"eye-in-hand": "wrist", "eye-to-hand": "side"}
-BOARDS: dict[str, dict[str, Any]] = {
-    "eye-in-hand": {"on": "scene"},
-    "eye-to-hand": {"on": "gripper", "x": 0.0, "z": 0.2, "roll": np.pi / 2},
+BOARDS = {
+    "eye-in-hand": ShowBoardOptions(),
+    "eye-to-hand": ShowBoardOptions(
+        mount=Mount.of(Pose.from_rpy((0.0, 0.0, 0.2), (np.pi / 2, 0.0, 0.0))), on_gripper_of="fr3"
+    ),
 }
 FOCAL = {"eye-in-hand": 433.0, "eye-to-hand": 617.0}
 BENT = 617.0, (-0.3, 0.0, 0.0, 0.0, 0.0)
@@ -172,7 +174,7 @@ def is_single_axis_refused(tour: Tour, camera: str, strategy: BoardStrategy) -> 
 def measure(arrangement: str, seed: int, options: Options, folder: Path) -> dict[str, Any]:
     """Return the figures of one camera."""
     rng = np.random.default_rng(seed)
-    name, task = CAMERAS[arrangement], ShowBoardOptions(**BOARDS[arrangement])
+    name, task = CAMERAS[arrangement], BOARDS[arrangement]
     plain = rcs.Setup(
         task="rcs.setups.board_setup:ShowBoard", task_options=task.to_json(), robot=options.robot,
         cameras=rcs.Cameras(name, image_size=options.size), relative="absolute", stepping="sync",

@@ -17,8 +17,9 @@ from rcs.cli.main import main
 from rcs.devices.fakes import FakeArm
 from rcs.envs.planner_for import planner_for
 from rcs.hardware import FakeDriver
-from rcs.robots import FR3
+from rcs.robots import FR3, Mount
 from rcs.robots.description import ArmDescription
+from rcs.setups.calibration import KnownBoard
 
 pytestmark = [pytest.mark.extras, pytest.mark.gl]
 
@@ -114,6 +115,13 @@ def test_a_check_without_a_board_says_how_to_get_one(tmp_path: Path, capsys: pyt
     file.write_text('{"cameras": {}}')
     assert run("check", "--calibration", str(file)) == 1
     assert "rcs calibrate hand-eye --camera wrist" in capsys.readouterr().err
+
+
+def test_the_arm_that_holds_the_board_of_the_file_is_the_one_that_moves() -> None:
+    options = SessionOptions(robot="dual_fr3", camera="front", image_size=(64, 48))
+    held = KnownBoard(mount=Mount(translation=(0.0, 0.0, 0.2)), on_gripper_of="right")
+    with options.session(options.setup(at=held)) as (mounted, _, _):
+        assert mounted.robot.name == "right"
 
 
 def test_ways_are_checked_against_the_other_arms_where_they_are(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 import mujoco
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from rcs.calibration import Board
 from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, UnknownName
 from rcs.kinematics import kinematics_of
 from rcs.robots.description import Mount
 from rcs.setups.calibration import KnownBoard
@@ -38,10 +37,10 @@ class ShowBoardOptions(Free.Options):
 
     board: Board = Board()
     """The board."""
-    on: Literal["scene", "gripper"] = "scene"
-    """Part that carries the board: the scene, or the base body of the first robot's gripper."""
     mount: Mount = Mount(translation=(0.5, 0.0, THICKNESS))
     """Pose of its middle in the frame of what carries it, z out of the printed side."""
+    on_gripper_of: str | None = None
+    """Name of the robot whose gripper's base body carries it; None for the scene."""
 
 
 class ShowBoard(Free):
@@ -53,18 +52,21 @@ class ShowBoard(Free):
     def furnish(self, scene: Scene) -> None:
         """Add a table, and the board if the scene carries it."""
         scene.add_table()
-        if self.options.on == "scene":
+        if self.options.on_gripper_of is None:
             self._add_board(scene, scene.spec.worldbody)
 
     def equip(self, scene: Scene, robots: tuple[RobotPlacement, ...]) -> None:
-        """Add the board to the gripper if that carries it; it touches the table, but not the gripper.
+        """Add the board to the gripper if one carries it; it touches the table, but not the gripper.
 
         Raises:
-            InvalidSetup: The first robot has no end effector.
+            UnknownName: There is no such robot.
+            InvalidSetup: The robot has no end effector.
         """
-        if self.options.on == "scene":
+        if (name := self.options.on_gripper_of) is None:
             return
-        robot = robots[0]
+        by_name = {robot.name: robot for robot in robots}
+        if (robot := by_name.get(name)) is None:
+            raise UnknownName("robot of this setup", name, by_name)
         if robot.end_effector is None:
             raise InvalidSetup(f"A board on the gripper of {robot.name!r} needs one; it has a bare flange.")
         parent = robot.gripper_prefix + robot.end_effector.base_body
@@ -125,7 +127,7 @@ def board_setup(
 
     Raises:
         UnknownName: There is no such robot or camera.
-        InvalidSetup: The camera cannot be calibrated with this robot.
+        InvalidSetup: The camera cannot be calibrated with this robot, or the carrier of the board `at` does not fit it.
     """
     setup = Setup(
         task="rcs.setups.board_setup:ShowBoard",
@@ -135,13 +137,18 @@ def board_setup(
         stepping="sync",
         max_episode_steps=None,
     )
-    mounted = MountedCamera.of(setup, camera)
+    mounted = MountedCamera.of(setup, camera, None if at is None else at.on_gripper_of)
+    held_by = mounted.robot.name if mounted.arrangement == "eye-to-hand" else None
+    if at is not None and at.on_gripper_of != held_by:
+        raise InvalidSetup(
+            f"The board of camera {camera!r} has on_gripper_of={at.on_gripper_of!r}; valid is the name of a robot for "
+            "a camera that stands still, and None, a board in the scene, for one on a gripper."
+        )
     seen = None if mounted.camera.calibration is None else mounted.camera.calibration.intrinsics
     if seen is not None and image_size is None:
         setup = replace(setup, cameras=replace(setup.cameras, image_size=(seen.width, seen.height)))
     known = at or KnownBoard(board=board or Board(), mount=_place(robot, mounted, board or Board()))
-    is_held = known.on_gripper_of is not None if at is not None else mounted.arrangement == "eye-to-hand"
-    options = ShowBoardOptions(board=known.board, on="gripper" if is_held else "scene", mount=known.mount)
+    options = ShowBoardOptions(board=known.board, mount=known.mount, on_gripper_of=held_by)
     return replace(setup, task_options=options.to_json())
 
 

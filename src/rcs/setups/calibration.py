@@ -5,12 +5,14 @@ A file is JSON with the fields of `Calibration` by the name of the camera, and o
     {"cameras": {"side": {"optical": {"translation": [0.66, 0.95, 0.50], "quaternion": [0.1, 0.2, 0.3, 0.927]},
                           "intrinsics": {"width": 640, "height": 480, "fx": 617.0, "fy": 616.2,
                                          "cx": 321.4, "cy": 238.9, "distortion": [0.11, -0.24, 0.001, 0.0, 0.0]}}},
-     "boards": {"side": {"board": {"rows": 2, "columns": 2}, "mount": {"translation": [0.5, 0.0, 0.0]}}}}
+     "boards": {"side": {"board": {"rows": 2, "columns": 2}, "mount": {"translation": [0.0, 0.0, 0.2]},
+                         "on_gripper_of": "fr3"}}}
 
 Poses are those of the optical frame (x right, y down, z forward; m, xyzw) in the frame that carries the camera: the
 scene, or the gripper's base body for a camera on a gripper. Intrinsics are in pixels of the given size, as OpenCV gives
-them; pictures of another shape are cut out of the middle. Without a pose, the camera stays where the lab has it;
-without intrinsics, it sees as in its data sheet. Any other key is refused.
+them; pictures of another shape are cut out of the middle. The board of a camera on a gripper lies in the scene, and has
+no `on_gripper_of`. Without a pose, the camera stays where the lab has it; without intrinsics, it sees as in its data
+sheet. Any other key is refused.
 """
 
 from __future__ import annotations

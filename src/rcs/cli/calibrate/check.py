@@ -46,7 +46,8 @@ class CheckCommand(SessionOptions):
             )
         setup = self.setup(at=known)
         with self.session(setup) as (_, own_lens, look):
-            said = MountedCamera.of(self.setup(at=known, calibration=str(self.calibration)), self.camera)
+            calibrated = self.setup(at=known, calibration=str(self.calibration))
+            said = MountedCamera.of(calibrated, self.camera, known.on_gripper_of)
             seen = said.camera.calibration
             lens = own_lens if seen is None or seen.intrinsics is None else seen.intrinsics
             lens = lens.cut(setup.cameras.size_of(self.camera))

@@ -71,7 +71,8 @@ class SessionOptions:
             twin = env
             if self.hardware is not None:
                 twin = open_ones.enter_context(rcs.make(replace(setup, stepping="sync")))
-            mounted = MountedCamera.of(setup, self.camera)
+            holder = ShowBoardOptions.from_json(setup.task_options).on_gripper_of
+            mounted = MountedCamera.of(setup, self.camera, holder)
             robot = mounted.robot.name
             tour = Tour(env, robot=robot, speed=self.speed)
             lens = tour.intrinsics(self.camera)
