@@ -16,6 +16,7 @@ from rcs.robots.fr3 import FR3
 from rcs.robots.mount import Mount, Obstacle
 from rcs.setups.ids import ids
 from rcs.setups.lab import Lab, Stand, lab_of, looking, plain_lab
+from rcs.setups.resolve import resolve
 from rcs.spatial import Pose
 
 
@@ -63,6 +64,15 @@ def test_a_camera_on_the_gripper_of_a_robot_that_is_not_there_is_refused_with_th
         rcs.make("Free", robot="dual_fr3", cameras=cameras)
 
 
+def test_a_camera_of_ones_own_may_be_on_another_gripper_than_the_usual_one() -> None:
+    mount = CameraMount(camera="realsense_d405", optical=Mount(), on_gripper_of="fr3")
+    setup = rcs.Setup("Free", robot="fr3", end_effector="robotiq_2f85", cameras={"hand": mount})
+    (camera,) = resolve(setup).cameras
+    assert camera.parent_body.startswith("fr3/gripper/")
+    with pytest.raises(InvalidSetup, match="made to be mounted on 'franka_hand'"):
+        resolve(rcs.Setup("Free", robot="fr3", end_effector="robotiq_2f85", cameras="wrist"))
+
+
 def test_looking_points_the_optical_axis_at_the_target_with_the_picture_upright() -> None:
     mount = looking((1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
     matrix = Pose(mount.translation, mount.quaternion).matrix
@@ -107,3 +117,8 @@ def test_arms_of_different_kinds_stand_side_by_side() -> None:
         assert rcs.Setup.from_json(env.setup.to_json()) == env.setup
         before = observation["left"]["tquat"][1], observation["right"]["tquat"][1]
         assert all(np.isfinite(before))
+
+
+def test_a_lab_beside_an_arm_is_refused_as_one() -> None:
+    with pytest.raises(InvalidSetup, match="robot 'right' is the lab 'dual_fr3'; valid beside others is an arm"):
+        lab_of({"left": "fr3", "right": "dual_fr3"})

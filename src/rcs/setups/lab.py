@@ -69,9 +69,10 @@ def lab_of(robot: str | Mapping[str, str]) -> Lab:
 
 
 def _arm(robot: str) -> ArmDescription | Lab:
-    if ":" not in robot and robot not in lookup.names("arm"):
-        raise UnknownName("robot", robot, {*lookup.names("lab"), *lookup.names("arm")})
-    found = lookup.find("arm", robot)
+    labs, arms = lookup.names("lab"), lookup.names("arm")
+    if ":" not in robot and robot not in {*labs, *arms}:
+        raise UnknownName("robot", robot, {*labs, *arms})
+    found = lookup.find("lab" if robot in labs and robot not in arms else "arm", robot)
     if not isinstance(found, ArmDescription | Lab):
         raise InvalidSetup(f"{robot!r} is {found!r}; valid is an ArmDescription or a Lab.")
     return found

@@ -89,6 +89,9 @@ def resolve(setup: Setup) -> Parts:
         _place(one, setup.end_effector_of(one.name) or lab.end_effector, setup.compliance) for one in lab.stands
     )
     cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras.names)
+    if setup.cameras.mode is not None:
+        for camera in cameras:
+            camera.camera.mode(setup.cameras.mode)
     tactile = tuple(sensor for robot in robots for sensor in _feel(setup.tactile, robot))
     count = 0 if setup.randomisation is None else setup.randomisation.distractors
     return Parts(
@@ -163,18 +166,15 @@ def _mount(name: str, setup: Setup, lab: Lab, robots: tuple[RobotPlacement, ...]
             raise UnknownName("robot of this setup", mount.on_gripper_of, by_name, hint=hint)
         if robot.end_effector is None:
             raise InvalidSetup(f"Camera {name!r} is mounted on the gripper of {robot.name!r}, which has none.")
-        if robot.end_effector.name != lab.end_effector:
+        if name not in setup.cameras.mounts and robot.end_effector.name != lab.end_effector:
             raise InvalidSetup(
                 f"Camera {name!r} is made to be mounted on {lab.end_effector!r}, not on {robot.end_effector.name!r}; "
                 "leave it out."
             )
         parent = robot.gripper_prefix + robot.end_effector.base_body
-    description: CameraDescription = lookup.find("camera", mount.camera)
-    if setup.cameras.mode is not None:
-        description.mode(setup.cameras.mode)
     return CameraPlacement(
         name=name,
-        camera=description,
+        camera=lookup.find("camera", mount.camera),
         parent_body=parent,
         optical_in_parent=mount.optical,
         calibration=mount.calibration,
@@ -220,7 +220,9 @@ def _gate(name: str, options: Mapping[str, Any]) -> Gate:
         return found(**options)
     except TypeError as err:
         valid = ", ".join(one for one in inspect.signature(found.__init__).parameters if one != "self")
-        raise InvalidSetup(f"The gate {name!r} does not take {sorted(options)}; valid options: {valid}.") from err
+        raise InvalidSetup(
+            f"The gate {name!r} cannot be made with {dict(options)}: {err}; valid options: {valid}."
+        ) from err
 
 
 def site_of(setup: Setup, hardware: Any) -> Site:

@@ -152,7 +152,8 @@ def test_a_guard_is_part_of_the_setup_by_its_name_with_its_options() -> None:
     [
         ([Guard, "Gaurd"], UnknownName, "Gaurd"),
         ("Guard", InvalidSetup, "is the text"),
-        ({"Guard": {"marign": 1}}, InvalidSetup, "valid options: on_hit, margin"),
+        ({"Guard": {"marign": 1}}, InvalidSetup, "argument 'marign'.*; valid options: on_hit, margin"),
+        ({"Guard": {"margin": "wide"}}, InvalidSetup, "'margin': 'wide'.*: '<=' not supported between"),
         ({"Guard": {"on_hit": "ring"}}, InvalidSetup, "'reject', 'clip', 'stop'"),
         ({"Guard": {"margin": 0.001, "near_margin": 0.01}}, InvalidSetup, "near_margin <= margin"),
         ({"Guard": {"touch": ["cupoid"]}}, InvalidSetup, "no body 'cupoid'"),
