@@ -14,7 +14,8 @@ import rcs
 from rcs._core import Renderer
 from rcs.envs.assemble import assemble, compose
 from rcs.envs.parts import Parts
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, UnknownName
+from rcs.robots import FR3
 from rcs.robots.description import ArmDescription
 from rcs.setups.make import resolve
 from rcs.setups.resolve import cameras_of, devices_of
@@ -27,6 +28,9 @@ def add_cameras(spec: mujoco.MjSpec) -> None:
     link.add_camera(name="sensor", resolution=[640, 480], focal_length=[0.003, 0.003], sensor_size=[0.004, 0.003])
     link.add_camera()
     spec.worldbody.add_camera(name="beside", pos=[1.5, -0.8, 0.9], quat=[0.8, 0.45, 0.2, 0.35])
+
+
+WITH_EYE = replace(FR3, name="with_eye", complete=add_cameras)
 
 
 def parts_with(change: Callable[[mujoco.MjSpec], None], *names: str, **options: Any) -> Parts:
@@ -122,6 +126,41 @@ def test_its_frames_are_those_that_mujocos_camera_in_the_file_draws() -> None:
         np.testing.assert_allclose(frame["intrinsics"][0, 0], focal)
     renderer.close()
     env.close()
+
+
+def _add_small_cameras(spec: mujoco.MjSpec) -> None:
+    size = {"resolution": [64, 48], "focal_length": [0.003, 0.003], "sensor_size": [0.004, 0.003]}
+    spec.worldbody.add_camera(name="beside", pos=[1.5, -0.8, 0.9], quat=[0.8, 0.45, 0.2, 0.35], **size)
+    spec.body("forearm_link").add_camera(name="link", **size)
+
+
+@pytest.mark.parametrize("end_effector", ["robotiq_2f85", "none"])
+def test_a_real_camera_of_the_file_has_its_pose_on_the_base_and_none_on_a_link(end_effector: str) -> None:
+    parts = parts_with(
+        _add_small_cameras,
+        "beside",
+        "link",
+        task="Free",
+        robot="ur5e",
+        end_effector=end_effector,
+        stepping="realtime",
+        cameras=rcs.Cameras(image_size=(64, 48)),
+    )
+    devices = devices_of({"beside": "fake", "link": "fake"}, parts)
+    with assemble(replace(parts, devices=devices)) as env:
+        frames = env.reset(seed=0)[0]["frames"]
+    pose = parts.cameras[0].optical_in_parent.pose
+    np.testing.assert_allclose(frames["beside"]["extrinsics"], pose.matrix, atol=1e-9)
+    np.testing.assert_allclose(pose.translation, [1.5, -0.8, 0.9])
+    assert frames["link"].keys() == {"rgb", "intrinsics", "distortion"}
+
+
+@pytest.mark.parametrize("mode", ["large", "320x240"])
+def test_a_mode_that_a_camera_of_the_file_does_not_have_is_refused(mode: str) -> None:
+    setup = rcs.Setup("Free", robot=WITH_EYE, cameras=rcs.Cameras("sensor", mode=mode))
+    with pytest.raises(UnknownName, match=r"mode of sensor named .* Known: 640x480\."):
+        resolve(setup)
+    resolve(replace(setup, cameras=rcs.Cameras("sensor", mode="640x480")))
 
 
 @pytest.mark.parametrize(("wanted", "opened"), [((1024, 768), (1280, 720)), ((224, 224), (424, 240))])

@@ -225,7 +225,8 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
             layers = [*_late_actions(randomiser, setup, leading), *layers]
         if len(parts.robots) == 1:
             name, ports = NAMELESS, [*ports, *shared]
-            mounts = [WristCamera(camera.name, _in_tcp(camera, placement)) for camera in real if _moves(camera)]
+            poses = {camera.name: _in_tcp(camera, placement) for camera in real}
+            mounts = [WristCamera(camera, pose) for camera, pose in poses.items() if pose is not None]
             layers = [*mounts, *points, *layers]
         chains[name] = Chain(ports, [*layers, *parts.layers.get(placement.name, ())], leading)
     if len(parts.robots) != 1:
@@ -334,14 +335,15 @@ def _simulated_sensors(
 
 
 def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPort:
-    """Return the port of all that gives real frames; cameras that stand still have the poses of the lab."""
+    """Return the port of all that gives real frames; cameras in the scene or on an arm's base stand still."""
     site, setup = parts.devices, parts.setup
     scene_in_frame = tquat_to_matrix(inverse(base_in_scene(parts.robots)))
+    still = {robot.base_body: scene_in_frame @ robot.base_in_scene.pose.matrix for robot in parts.robots}
+    still["world"] = scene_in_frame
     fixed = {
-        camera.name: scene_in_frame
-        @ Pose(camera.optical_in_parent.translation, camera.optical_in_parent.quaternion).matrix
+        camera.name: still[camera.parent_body] @ camera.optical_in_parent.pose.matrix
         for camera in cameras
-        if not _moves(camera)
+        if camera.parent_body in still
     }
     skins = {one.name: one.sensor.frame_size for one in parts.tactile if one.name in site.tactile}
     return CameraPort(
@@ -356,15 +358,12 @@ def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPor
     )
 
 
-def _moves(camera: CameraPlacement) -> bool:
-    return camera.parent_body != "world"
-
-
-def _in_tcp(camera: CameraPlacement, robot: RobotPlacement) -> Pose:
-    """Return the pose of a camera on a gripper in the TCP frame."""
-    assert robot.end_effector is not None, "a camera that moves is on a gripper"
-    tcp, optical = robot.end_effector.tcp_in_base, camera.optical_in_parent
-    return Pose(tcp.translation, tcp.quaternion).inverse() * Pose(optical.translation, optical.quaternion)
+def _in_tcp(camera: CameraPlacement, robot: RobotPlacement) -> Pose | None:
+    """Return the pose of a camera in the TCP frame if it is on the base body of a gripper; else None."""
+    effector = robot.end_effector
+    if effector is None or camera.parent_body != robot.gripper_prefix + effector.base_body:
+        return None
+    return effector.tcp_in_base.pose.inverse() * camera.optical_in_parent.pose
 
 
 def _late_actions(randomiser: Randomiser, setup: Setup, leading: tuple[int, ...]) -> list[Layer]:

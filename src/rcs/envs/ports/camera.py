@@ -49,7 +49,7 @@ class CameraPort(Port):
             sizes: Width and height of each camera's frames [px]; larger pictures are cut to that shape and made
                 smaller.
             calibrations: Calibrations from a file, by name; others are those of the device, or of the data sheet.
-            extrinsics: Poses of cameras that stand still, (4, 4), OpenCV axes; those of others come from a layer.
+            extrinsics: Poses of cameras that stand still, (4, 4), OpenCV axes; a layer adds those on a gripper.
             stale_after: Age of a frame from which a camera is stale [s].
             on_stale: `fault` ends the episode when a camera is stale; see `Site`.
             now: Monotonic time of the host [s].
