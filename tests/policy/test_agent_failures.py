@@ -196,6 +196,17 @@ def test_before_the_first_answer_a_real_gripper_drops_nothing() -> None:
         assert openings(env)[-1] < 0.9, "the last command was to close"
 
 
+def test_a_policy_that_begins_again_keeps_what_a_simulated_gripper_closes_on(env: Env) -> None:
+    broken = ScriptedPolicy(lambda *_: 1 / 0, Metadata(name="broken", action=(JOINTS, GRIPPER), rate=30.0))
+    agent = ChunkAgent(env, broken)
+    observation, _ = env.reset(seed=0)
+    observation, *_, info = env.step({"joints": observation["joints"], "gripper": np.zeros(1, np.float32)})
+    assert observation["gripper"] > 0.5, "rounded, that would be open"
+    agent.reset(observation, info)
+    assert agent.act(observation, info)["gripper"] == 0.0
+    agent.close()
+
+
 def test_the_policy_of_one_robot_holds_while_a_device_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     def lost(robot: str | None = None) -> None:
         raise DeviceFault("left: the cable is out")

@@ -60,15 +60,20 @@ class PolicyActions:
         """True while the robot holds."""
         return bool(self._held)
 
-    def reset(self, observation: Observation) -> None:
-        """Begin an episode.
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Begin an episode, or begin anew in the midst of one.
 
-        Real grippers keep the last command to them, others are as they are measured, or open if they are not.
+        Grippers keep the last command to them, real ones also that of the episode before. Others are as they are
+        measured, or open if they are not.
+
+        Args:
+            observation: The present one.
+            info: The info of the reset, or of the last step, whose `target` has the last commands.
         """
         self._held, self._was_moved, self.is_clipped = {}, False, False
-        measured = flat(observation)
+        known = {**flat(observation), **flat(info.get("target", {}))}
         names = [name for name in self._boxes if key_of(name) in (GRIPPER, HAND)]
-        first = {name: measured.get(name, np.ones(self._boxes[name].shape)) for name in names}
+        first = {name: known.get(name, np.ones(self._boxes[name].shape)) for name in names}
         self._grips = {name: self._grip(name, at) if self._is_real(name) else at for name, at in first.items()}
 
     def _is_real(self, name: str) -> bool:

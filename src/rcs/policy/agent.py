@@ -110,7 +110,7 @@ class ChunkAgent(Agent):
         """
         self._episode += 1
         self._executor.reset()
-        self._actions.reset(observation)
+        self._actions.reset(observation, info)
         self._has_ended, self._is_lost, self._message = False, False, None
         self._latencies = []
         given = self._given_instruction
