@@ -44,6 +44,9 @@ def test_the_figures_of_a_built_in_arm_are_found_in_its_file(arm: ArmDescription
         ({"joint": 'range="-1 1" limited="true"'}, "no largest torque"),
         ({"site": "tip"}, r"no site 'flange' but \['tip'\]"),
         ({"joint": "nonsense"}, "cannot be read"),
+        ({"actuator": '<motor name="servo" joint="turn"/>'}, r"\['servo'\] are no position actuators"),
+        ({"actuator": '<velocity name="servo" joint="turn" kv="5"/>'}, r"\['servo'\] are no position actuators"),
+        ({"joint": f'{WHOLE["joint"]}/><joint name="loose" type="slide"'}, r"\['loose'\] between base and flange"),
     ],
 )
 def test_what_a_file_lacks_is_named(tmp_path: Path, changes: dict[str, str], words: str) -> None:
@@ -53,6 +56,17 @@ def test_what_a_file_lacks_is_named(tmp_path: Path, changes: dict[str, str], wor
     path.write_text(ARM.format(**{**WHOLE, **changes}))
     with pytest.raises(InvalidSetup, match=words):
         arm_from_mjcf(path, home=(0.0,), **LIMITS)
+
+
+def test_a_position_actuator_may_be_damped_and_be_written_as_a_general_one(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    for actuator in (
+        '<position name="servo" joint="turn" kp="50" kv="5"/>',
+        '<position name="servo" joint="turn" kp="50" dampratio="1"/>',
+        '<general name="servo" joint="turn" biastype="affine" gainprm="50" biasprm="0 -50 -5"/>',
+    ):
+        path.write_text(ARM.format(**{**WHOLE, "actuator": actuator}))
+        assert arm_from_mjcf(path, home=(0.0,), **LIMITS).actuators == ("servo",)
 
 
 def test_a_file_without_a_rest_pose_needs_one(tmp_path: Path) -> None:

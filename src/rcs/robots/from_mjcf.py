@@ -52,12 +52,19 @@ def arm_from_mjcf(
     actuators = [model.actuator(i) for i in range(model.nu) if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT]
     if not actuators:
         raise InvalidSetup(f"{path} has no actuators of joints; an arm has a position actuator for each joint.")
+    # As MuJoCo compiles <position>, also with kv or dampratio: force = kp * (target - joint) - kv * velocity.
+    if others := [one.name for one in actuators if not one.gainprm[0] == -one.biasprm[1] > 0.0]:
+        raise InvalidSetup(f"{path}: the actuators {others} are no position actuators; use <position>.")
     joints = [model.joint(actuator.trnid[0]) for actuator in actuators]
     if unlimited := [joint.name for joint in joints if not model.jnt_limited[joint.id]]:
         raise InvalidSetup(f"{path}: the joints {unlimited} have no range; give each range='lower upper'.")
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, flange_site) < 0:
         sites = [model.site(i).name for i in range(model.nsite)]
         raise InvalidSetup(f"{path} has no site {flange_site!r} but {sites}; name the one at the flange: flange_site=…")
+    if loose := _loose_joints(model, joints, flange_site):
+        raise InvalidSetup(
+            f"{path}: the joints {loose} between base and flange have no actuator; give each a <position>."
+        )
     addresses = [int(joint.qposadr[0]) for joint in joints]
     if home is None and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, HOME) < 0:
         raise InvalidSetup(f"{path} has no keyframe {HOME!r}; give home=, the joints of the rest pose [rad].")
@@ -87,6 +94,22 @@ def arm_from_mjcf(
 
 def _each(limit: float | Sequence[float], count: int) -> tuple[float, ...]:
     return (float(limit),) * count if isinstance(limit, int | float) else tuple(limit)
+
+
+def _loose_joints(model: Any, joints: Sequence[Any], flange_site: str) -> list[str]:
+    """Return the hinge and slide joints from the base to the flange that are not among those with an actuator."""
+    import mujoco
+
+    driven, body, bodies = {joint.id for joint in joints}, int(model.site(flange_site).bodyid[0]), set[int]()
+    while body:
+        bodies.add(body)
+        body = int(model.body_parentid[body])
+    kinds = mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value
+    return [
+        model.joint(i).name
+        for i in range(model.njnt)
+        if int(model.jnt_bodyid[i]) in bodies and int(model.jnt_type[i]) in kinds and i not in driven
+    ]
 
 
 def _effort(model: Any, joint: Any, actuator: Any) -> float:
