@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -83,6 +84,46 @@ class TestFakeGripperThatTrips(Trips, TestFakeGripper):
 
 class TestFakeHandThatTrips(Trips, TestFakeHand):
     pass
+
+
+def test_a_device_that_takes_commands_in_fault_fails_and_is_commanded_no_more(limits: ArmLimits, clock) -> None:
+    commands: list[float] = []
+
+    class Deaf(TestFakeArm):
+        time_limit = 0.05
+
+        def command(self, device: Arm, target: Any, valid_for: float = np.inf) -> None:
+            commands.append(valid_for)
+            with suppress(DeviceFault):
+                super().command(device, target, valid_for)
+
+    contract = Deaf()
+    contract.clock, contract.limits = clock, limits
+    with pytest.raises(TimeoutError):
+        contract.test_a_thread_that_commands_meets_the_fault()
+    sent = len(commands)
+    threading.Event().wait(0.01)
+    assert len(commands) == sent > 1
+
+
+def test_a_camera_without_a_serial_number_that_is_another_one_afterwards_fails(clock) -> None:
+    class Exchanged(FakeCamera):
+        opened = 0
+
+        def _open(self) -> None:
+            super()._open()
+            self.opened += 1
+
+        @property
+        def about(self) -> dict[str, Any]:
+            return {"model": f"camera {self.opened}"}
+
+    class Contract(TestFakeCamera):
+        def make_device(self) -> Camera:
+            return Exchanged(CameraMode(16, 8, 30.0), clock=clock)
+
+    with pytest.raises(AssertionError):
+        Contract().test_it_is_the_same_camera_when_it_is_opened_again()
 
 
 def test_a_fake_arm_moves_at_its_largest_velocity(limits: ArmLimits, clock) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import numpy as np
 import pytest
@@ -188,18 +187,15 @@ class CameraContract(DeviceContract[Camera]):
             assert depth.max() > 0
 
     def test_it_is_the_same_camera_when_it_is_opened_again(self) -> None:
-        """The facts that it states of itself, its serial number first, stay; so does its calibration."""
+        """The facts that it states of itself, such as its serial number, stay; so does its calibration."""
         with self.open_device() as camera:
             camera.read()
-            first, seen = self._identity(camera), camera.calibration
+            first, seen = dict(getattr(camera, "about", {})), camera.calibration
             camera.close()
             camera.open()
             camera.read()
-            assert self._identity(camera) == first
+            assert dict(getattr(camera, "about", {})) == first
             again = camera.calibration
             assert (again is None) == (seen is None)
             if again is not None and seen is not None:
                 np.testing.assert_array_equal(again.matrix, seen.matrix)
-
-    def _identity(self, camera: Camera) -> Any:
-        return getattr(camera, "about", {}).get("serial")

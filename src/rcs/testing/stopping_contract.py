@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
@@ -223,16 +224,20 @@ class StoppingContract(DeviceContract[D]):
         with self.open_device() as device, ThreadPoolExecutor(1) as pool:
             target = self.target_of(device)
             self.begin(device, target)
+            is_over = threading.Event()
 
             def command_on() -> None:
-                while True:
+                while not is_over.is_set():
                     self.command(device, target, 1.0)
 
             commanding = pool.submit(command_on)
-            self.advance(self.tick)
-            self.stop(lambda: device.set_fault("watchdog"))
-            with pytest.raises(DeviceFault, match="watchdog"):
-                commanding.result(timeout=self.time_limit)
+            try:
+                self.advance(self.tick)
+                self.stop(lambda: device.set_fault("watchdog"))
+                with pytest.raises(DeviceFault, match="watchdog"):
+                    commanding.result(timeout=self.time_limit)
+            finally:  # also for a device that takes commands in fault, which nobody else would stop
+                is_over.set()
             self.require_stopped(device, target)
 
     def test_another_thread_stops_a_motion_with_all_others(self) -> None:
