@@ -13,6 +13,7 @@ from rcs_data.options import Positive
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.layers import CopyIndex
 from rcs.envs.task import Area, Judgement, Task
+from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
@@ -76,12 +77,23 @@ class Push(TableTask):
     options: PushOptions
 
     def __init__(self, area: Area, options: PushOptions | Mapping[str, Any] | None = None) -> None:
-        """Set the area, in which block and goal lie, at any yaw and with room behind the block."""
+        """Set the area, in which block and goal lie, at any yaw and with room behind the block.
+
+        Raises:
+            InvalidSetup: The area is too small for a goal at `SHORTEST_WAY` from a block in its middle.
+        """
         super().__init__(area, options)
         scale = area.object_scale
         self.edges = tuple(scale * edge for edge in EDGES)
         """Edges of the block here [m]."""
         half = np.maximum(np.array(area.size) / 2 - scale * MARGIN, 0.0)
+        if np.linalg.norm(half) < scale * SHORTEST_WAY:
+            edge = 2.0 * scale * (MARGIN + SHORTEST_WAY / np.sqrt(2.0))
+            raise InvalidSetup(
+                f"The area is {area.size} m, too small for Push: block and goal are {scale * SHORTEST_WAY:g} m or more "
+                f"apart, and {scale * MARGIN:g} m or more from its edge. Valid is, for example, a square of "
+                f"{np.ceil(100.0 * edge) / 100.0:g} m; choose another robot, or set `size` of its lab's Area."
+            )
         self._low, self._high = np.array(area.center) - half, np.array(area.center) + half
 
     def furnish(self, scene: Scene) -> None:
