@@ -9,8 +9,9 @@ import sys
 import uuid
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from types import FunctionType
 from typing import Any, Protocol, runtime_checkable
 
 from rcs.agents.agent import Agent, expert_of, policy_at
@@ -26,7 +27,7 @@ class Identity:
     """Who acts in an evaluation."""
 
     name: str
-    """A name for people, such as `pick@40000`."""
+    """A name for people, such as `pick@40000`; of a `functools.partial`, with a hash of its arguments."""
     weights: str | None = None
     """SHA-256 of the weights; None if there are none, or nobody says which."""
     trained: int | None = None
@@ -64,7 +65,7 @@ def identity_of(agent: Any, task: str) -> Identity:
         task: The task, whose expert acts if the agent is None.
 
     Raises:
-        InvalidSetup: The task names no expert, or there is no checkpoint at the path.
+        InvalidSetup: The task names no expert, there is no checkpoint at the path, or a function has no name.
         UnknownName: There is no agent of this name.
         RcsError: There is no policy at the address.
     """
@@ -76,8 +77,15 @@ def identity_of(agent: Any, task: str) -> Identity:
     agent = expert_of(task) if agent is None else agent
     if isinstance(agent, Agent):
         return Identity(name=type(agent).__name__, weights=agent.weights, modules=(type(agent).__module__,))
-    found = lookup.find("agent", agent)
-    return Identity(name=lookup.name_of("agent", found), modules=(found.__module__,))
+    found, given = lookup.find("agent", agent), ""
+    if isinstance(found, partial):  # an argument that prints its place in memory makes another agent every time
+        arguments = repr((found.args, sorted(found.keywords.items())))
+        found, given = found.func, f"({hashlib.sha256(arguments.encode()).hexdigest()[:8]})"
+    if not isinstance(found, FunctionType) or found.__name__ == "<lambda>":
+        name = lookup.name_of("agent", found)
+    else:
+        name = agent if isinstance(agent, str) else f"{found.__module__}:{found.__qualname__}"
+    return Identity(name=name + given, modules=(found.__module__,))
 
 
 def code_of(modules: Iterable[str]) -> dict[str, str]:

@@ -33,8 +33,8 @@ class Evaluation:
     simulator: ForeignSimulator | None = None
     """The simulator of another project that `setup` is of; None for the one here, or for real devices."""
     agent: Any = None
-    """An agent's class or name, `module:Class`, the path of a checkpoint, the address of a policy, or an `Identified`;
-    None for the expert of the task. In one process also an agent."""
+    """A class or function that makes an agent, its name or `module:Class`, the path of a checkpoint, the address of a
+    policy, or an `Identified`; None for the expert of the task. In one process also an agent."""
     name: str | None = None
     """Name of the agent in the ledger; None for its own."""
     tags: Mapping[str, str] = field(default_factory=dict[str, str])
