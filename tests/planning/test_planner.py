@@ -132,6 +132,8 @@ def test_a_grasped_object_is_carried_clear_of_everything() -> None:
 def test_what_makes_no_sense_is_refused(planner: Planner) -> None:
     with pytest.raises(InvalidSetup, match="7 finite joints"):
         planner.plan(LEFT[:6], RIGHT)
+    with pytest.raises(InvalidSetup, match=r"start has the shape \(2, 7\); valid are 7 finite joints"):
+        planner.plan([LEFT, HOME], RIGHT)
     with pytest.raises(InvalidSetup, match=r"Joint 4 of the goal is 1\.0000 rad; valid is -3\.0421 to -0\.1518"):
         planner.plan(LEFT, [*RIGHT[:3], 1.0, *RIGHT[4:]])
     with pytest.raises(InvalidSetup, match="margin"):

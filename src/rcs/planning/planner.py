@@ -185,7 +185,8 @@ class Planner:
 
     def _joints(self, name: str, given: ArrayLike) -> Rows:
         rows = np.atleast_2d(np.asarray(given, np.float64))
-        if rows.ndim != 2 or rows.shape[1] != self.checker.dof or not len(rows) or not np.isfinite(rows).all():
+        is_enough = len(rows) == 1 or (len(rows) > 1 and name == "goal")
+        if rows.shape[1:] != (self.checker.dof,) or not is_enough or not np.isfinite(rows).all():
             raise InvalidSetup(
                 f"The {name} has the shape {np.shape(given)}; valid are {self.checker.dof} finite joints [rad]."
             )
