@@ -64,3 +64,20 @@ def test_what_a_package_names_and_cannot_be_imported_is_told_with_the_package(
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(InvalidSetup, match=r"The task 'Torn' is 'torn.gone:Task' of the package 'torn'.*No module"):
         lookup.find("task", "Torn")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (":Arm", "':Arm' is in the module '', which cannot be imported: ValueError"),
+        (".lab:Arm", "'.lab:Arm' is in the module '.lab', which cannot be imported: TypeError"),
+        ("torn_lab:ARM", "'torn_lab:ARM' is in the module 'torn_lab', which cannot be imported: ZeroDivisionError"),
+    ],
+)
+def test_a_module_that_cannot_be_imported_is_told_whatever_it_raises(
+    given: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "torn_lab.py").write_text("ARM = 1 / 0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InvalidSetup, match=words):
+        lookup.find("arm", given)

@@ -50,7 +50,8 @@ def find(kind: Kind, given: Any) -> Any:
     Raises:
         UnknownName: No installed plugin has the name, or the module has no such class; the message has the nearest
             match.
-        InvalidSetup: An installed package registers the name, but the object cannot be imported.
+        InvalidSetup: An installed package registers the name, but the object cannot be imported; or the module raises
+            an error, or has no whole name.
     """
     if not isinstance(given, str):
         return given
@@ -115,6 +116,11 @@ def _import(kind: Kind, given: str) -> Any:
         found: Any = sys.modules.get(module) or importlib.import_module(module)
     except ImportError as err:
         raise UnknownName(word, given, _entries(kind), f"The module {module!r} cannot be imported: {err}.") from err
+    except Exception as err:  # a module may raise anything, and what is no name of a module raises others
+        raise InvalidSetup(
+            f"The {word} {given!r} is in the module {module!r}, which cannot be imported: {type(err).__name__}: {err}. "
+            "Valid is 'module:NAME' with the whole name of a module that imports."
+        ) from err
     for part in path.split("."):
         if not hasattr(found, part):
             hint = "A class inside a function cannot be found by name."
