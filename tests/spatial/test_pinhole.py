@@ -70,7 +70,8 @@ def test_other_models_of_lenses_are_refused_and_never_shortened(given: tuple[flo
 def test_four_coefficients_have_no_k3_and_zeros_after_the_fifth_say_nothing() -> None:
     assert five_coefficients((0.1, 0.2, 0.3, 0.4)) == (0.1, 0.2, 0.3, 0.4, 0.0)
     assert five_coefficients((0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.0)) == (0.1, 0.2, 0.3, 0.4, 0.5)
-    assert five_coefficients(()) == (0.0,) * 5
+    assert five_coefficients(()) == five_coefficients(None) == (0.0,) * 5
+    np.testing.assert_array_equal(pixel_rays(SEEN.matrix, (8, 6), None), pixel_rays(SEEN.matrix, (8, 6)))
 
 
 @pytest.mark.parametrize("changes", [{"fx": 0.0}, {"width": 0}, {"cx": 700.0}, {"cy": float("nan")}])

@@ -65,6 +65,8 @@ def test_many_images_have_the_points_of_each() -> None:
         assert one.tobytes() == many[index].tobytes()
     assert not many[1, 1, 2, 2].any()
     assert np.isnan(deproject(depth, matrices)[1, 1, 2, 2]).all()
+    without = deproject(depth, matrices, poses, distortion=None, invalid=0.0)
+    assert without.tobytes() == many.tobytes()
 
 
 def test_shapes_that_do_not_fit_are_told() -> None:
@@ -73,5 +75,7 @@ def test_shapes_that_do_not_fit_are_told() -> None:
             point_cloud(DEPTH, MATRIX, rgb=rgb, mask=mask)
     with pytest.raises(InvalidSetup, match="intrinsics has shape"):
         point_cloud(DEPTH, np.eye(4))
+    with pytest.raises(InvalidSetup, match=r"distortion has shape \(3, 5\); valid is \(5,\) or \(2, 5\)"):
+        deproject(np.stack([DEPTH] * 2), MATRIX, distortion=np.zeros((3, 5)))
     with pytest.raises(InvalidSetup, match="depth has shape"):
         point_cloud(DEPTH[None], MATRIX)

@@ -27,16 +27,17 @@ _NEWTON_STEPS = 50
 _CONVERGED = 1e-12
 
 
-def five_coefficients(distortion: ArrayLike) -> tuple[float, ...]:
+def five_coefficients(distortion: ArrayLike | None) -> tuple[float, ...]:
     """Return a distortion as k1, k2, p1, p2, k3.
 
     Args:
-        distortion: None, four or more of OpenCV's coefficients; those after the fifth must be zero.
+        distortion: Four or more of OpenCV's coefficients, those after the fifth zero; None, or no number, for a lens
+            without.
 
     Raises:
         InvalidSetup: There is another number of them, one is not finite, or one after the fifth is not zero.
     """
-    given = np.atleast_1d(np.asarray(distortion, np.float64)).reshape(-1)
+    given = np.asarray(() if distortion is None else distortion, np.float64).reshape(-1)
     if len(given) not in (0, 4, 5, 8, 12, 14) or not np.isfinite(given).all() or given[COEFFICIENTS:].any():
         raise InvalidSetup(
             f"distortion is {given.tolist()}; valid are the numbers k1, k2, p1, p2 and k3, or none. Models with more "
@@ -79,13 +80,13 @@ class Intrinsics(Record):
             )
 
     @staticmethod
-    def of_matrix(matrix: ArrayLike, size: tuple[int, int], distortion: ArrayLike = ()) -> Intrinsics:
+    def of_matrix(matrix: ArrayLike, size: tuple[int, int], distortion: ArrayLike | None = None) -> Intrinsics:
         """Return the intrinsics with a camera matrix.
 
         Args:
             matrix: Camera matrix [px], shape (3, 3).
             size: Width and height of the pictures [px].
-            distortion: None, four or five coefficients.
+            distortion: Four or five coefficients; None for a lens without.
 
         Raises:
             InvalidSetup: The matrix is skewed or otherwise not that of a camera.
@@ -218,13 +219,15 @@ def fold_radius(radial: tuple[float, float, float]) -> float:
     return float(np.sqrt(min(squares))) if squares else np.inf
 
 
-def pixel_rays(intrinsics: ArrayLike, size: tuple[int, int], distortion: ArrayLike = ()) -> NDArray[np.float64]:
+def pixel_rays(
+    intrinsics: ArrayLike, size: tuple[int, int], distortion: ArrayLike | None = None
+) -> NDArray[np.float64]:
     """Return where each pixel looks, as a read-only array: x / z and y / z in the optical frame, shape (H, W, 2).
 
     Args:
         intrinsics: Camera matrix [px], shape (3, 3).
         size: Width and height of the picture [px].
-        distortion: None, or k1, k2, p1, p2, k3.
+        distortion: k1, k2, p1, p2, k3; None for a lens without.
 
     Raises:
         InvalidSetup: The distortion makes no sense for this picture.

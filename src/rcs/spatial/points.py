@@ -27,7 +27,7 @@ def point_cloud(
     rgb: NDArray[np.uint8] | None = None,
     mask: NDArray[np.bool_] | None = None,
     *,
-    distortion: ArrayLike = (),
+    distortion: ArrayLike | None = None,
 ) -> PointCloud:
     """Return the points that one depth image shows. Pixels without a valid depth give no point.
 
@@ -39,7 +39,7 @@ def point_cloud(
             `frames`/camera/`extrinsics`; None for points in the camera's own frame.
         rgb: Colours of the same pixels, shape (H, W, 3).
         mask: Pixels to take, shape (H, W), such as `segmentation == 3`; None for all.
-        distortion: None, or the lens's k1, k2, p1, p2, k3, such as `frames`/camera/`distortion`.
+        distortion: The lens's k1, k2, p1, p2, k3, such as `frames`/camera/`distortion`; None for a lens without.
 
     Raises:
         InvalidSetup: A shape does not fit; or the distortion does not fit the picture.
@@ -69,7 +69,7 @@ def deproject(
     intrinsics: ArrayLike,
     extrinsics: ArrayLike | None = None,
     *,
-    distortion: ArrayLike = (),
+    distortion: ArrayLike | None = None,
     invalid: float = np.nan,
 ) -> NDArray[np.float32]:
     """Return the point that each pixel of depth images shows [m], float32, shape (..., H, W, 3).
@@ -78,7 +78,7 @@ def deproject(
         depth: Along the optical axis, shape (..., H, W), as in `point_cloud`.
         intrinsics: Camera matrices [px], shape (..., 3, 3).
         extrinsics: Poses of the cameras in the frame of the points, shape (..., 4, 4); None for the camera's own frame.
-        distortion: None, or k1, k2, p1, p2, k3, shape (..., 5).
+        distortion: k1, k2, p1, p2, k3, shape (..., 5); None for lenses without.
         invalid: The coordinates of pixels without a valid depth.
 
     Raises:
@@ -90,8 +90,8 @@ def deproject(
     leading, (height, width) = depth.shape[:-2], depth.shape[-2:]
     matrices = _per_image("intrinsics", intrinsics, leading, (3, 3))
     poses = None if extrinsics is None else _per_image("extrinsics", extrinsics, leading, (4, 4))
-    lens = np.asarray(distortion, np.float64)
-    lenses = np.broadcast_to(lens, (*leading, *lens.shape[-1:]))
+    lens = np.asarray(() if distortion is None else distortion, np.float64)
+    lenses = _per_image("distortion", lens, leading, lens.shape[-1:])
     points = np.empty((*depth.shape, 3), np.float32)
     for index in np.ndindex(leading):  # a single image has no leading axis
         rays = pixel_rays(matrices[index], (width, height), lenses[index])
@@ -110,6 +110,7 @@ def deproject(
 
 def _per_image(name: str, given: ArrayLike, leading: tuple[int, ...], shape: tuple[int, ...]) -> NDArray[np.float64]:
     values = np.asarray(given, np.float64)
-    if values.shape[-2:] != shape or values.shape[:-2] not in ((), leading):
+    own = values.ndim - len(shape)
+    if values.shape[own:] != shape or values.shape[:own] not in ((), leading):
         raise InvalidSetup(f"{name} has shape {values.shape}; valid is {shape} or {(*leading, *shape)}.")
     return np.broadcast_to(values, (*leading, *shape))
