@@ -7,6 +7,9 @@ import pytest
 
 import rcs
 from rcs.robots.cameras import REALSENSE_D405, REALSENSE_D435, USB_WEBCAM
+from rcs.robots.description import Mount
+from rcs.sim import CameraPlacement, Scene, World
+from rcs.sim.camera import SimCameras
 from rcs.sim.noise import COLOUR_DEVIATION, SUBPIXEL, CameraNoise, nearest_depth
 from rcs.testing.env_contract import require_same_bits
 
@@ -23,7 +26,7 @@ def frame(depth_mm: int) -> dict[str, np.ndarray]:
 
 
 def test_the_noise_has_the_deviation_that_is_stated() -> None:
-    noise = CameraNoise(REALSENSE_D435, SIZE, 0)
+    noise = CameraNoise(REALSENSE_D435, SIZE, "wrist")
     noisy = noise.add(frame(2000), np.arange(5.0))
     assert noisy["rgb"].std() == pytest.approx(COLOUR_DEVIATION, rel=0.05)
     expected = 1e3 * 2.0**2 / (FOCAL * 0.05) * SUBPIXEL
@@ -34,7 +37,7 @@ def test_the_noise_has_the_deviation_that_is_stated() -> None:
 
 
 def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
-    noise = CameraNoise(REALSENSE_D435, SIZE, 0)
+    noise = CameraNoise(REALSENSE_D435, SIZE, "wrist")
     near, far = (noise.add(frame(depth), np.zeros(3))["depth"][:, 50:].std() for depth in (1000, 3000))
     assert far / near == pytest.approx(9.0, rel=0.05)
 
@@ -42,7 +45,7 @@ def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
 def test_nothing_nearer_than_the_nearest_depth_is_seen_and_nothing_stays_nothing() -> None:
     nearest = nearest_depth(REALSENSE_D405, (640, 360))
     assert nearest == pytest.approx(0.055)
-    noise = CameraNoise(REALSENSE_D405, (640, 360), 0)
+    noise = CameraNoise(REALSENSE_D405, (640, 360), "wrist")
     shape = {"rgb": np.full((360, 640, 3), 128, np.uint8), "intrinsics": np.diag([430.0, 430.0, 1.0])}
     assert not noise.add({**shape, "depth": np.full((360, 640), 40, np.uint16)}, np.zeros(2))["depth"].any()
     assert not noise.add({**shape, "depth": np.zeros((360, 640), np.uint16)}, np.zeros(2))["depth"].any()
@@ -58,19 +61,19 @@ def test_the_nearest_depth_is_that_of_the_smallest_format_around_a_frame() -> No
 
 
 def test_the_argument_stays_as_it_is_and_another_moment_or_camera_has_other_noise() -> None:
-    noise = CameraNoise(REALSENSE_D435, SIZE, 0)
+    noise = CameraNoise(REALSENSE_D435, SIZE, "wrist")
     given = frame(1000)
     one = noise.add(given, np.array([0.1, 0.2]))
     assert (given["rgb"] == 128).all()
     assert (given["depth"] == 1000).all()
     require_same_bits(one, noise.add(given, np.array([0.1, 0.2])))
     assert not np.array_equal(one["rgb"], noise.add(given, np.array([0.1, 0.3]))["rgb"])
-    other = CameraNoise(REALSENSE_D435, SIZE, 1).add(given, np.array([0.1, 0.2]))
+    other = CameraNoise(REALSENSE_D435, SIZE, "side").add(given, np.array([0.1, 0.2]))
     assert not np.array_equal(one["rgb"], other["rgb"])
 
 
 def test_the_noise_of_a_scene_that_stands_still_is_another_in_every_frame() -> None:
-    noise = CameraNoise(REALSENSE_D435, SIZE, 0)
+    noise = CameraNoise(REALSENSE_D435, SIZE, "wrist")
     given, joints = frame(2000), np.arange(5.0)
     frames = [noise.add(given, np.array([step / 30, *joints])) for step in range(20)]
     errors = np.stack([one["rgb"].astype(float) - 128 for one in frames]).reshape(20, -1)
@@ -84,10 +87,25 @@ def test_the_noise_of_a_scene_that_stands_still_is_another_in_every_frame() -> N
 
 
 def test_a_shift_of_another_frames_noise_is_not_the_noise_of_this_one() -> None:
-    noise = CameraNoise(REALSENSE_D435, SIZE, 0)
+    noise = CameraNoise(REALSENSE_D435, SIZE, "wrist")
     one, two = (noise.add(frame(1000), np.array([time, 0.0]))["rgb"][..., 0].astype(float) - 128 for time in (0.0, 0.1))
     found = np.fft.ifft2(np.fft.fft2(one) * np.conj(np.fft.fft2(two))).real / one.size / one.var()
     assert np.abs(found).max() < 0.05
+
+
+@pytest.mark.gl
+def test_a_camera_has_the_same_noise_whichever_others_are_observed() -> None:
+    scene = Scene.empty()
+    eyes: list[CameraPlacement] = []
+    for name, x in (("left", 0.2), ("right", 0.4)):
+        above = Mount(translation=(x, 0.0, 1.0), quaternion=(1.0, 0.0, 0.0, 0.0))
+        eyes.append(CameraPlacement(name=name, camera=USB_WEBCAM, parent_body="world", optical_in_parent=above))
+        scene.add_camera(eyes[-1])
+    world = World(scene.compile())
+    both, one = (SimCameras(world, chosen, size=(48, 32), has_noise=True) for chosen in (eyes, eyes[1:]))
+    require_same_bits(both.read()["right"], one.read()["right"])
+    both.close()
+    one.close()
 
 
 @pytest.mark.gl

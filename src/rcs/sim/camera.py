@@ -126,7 +126,7 @@ class SimCameras:
         self._poses = [world.core.read_body_pose(world.model.body(body).id, frame_body) for body in bodies]
         world.refresh()
         self._noise = [
-            CameraNoise(camera.camera, self.sizes[camera.name], i) for i, camera in enumerate(cameras) if has_noise
+            CameraNoise(camera.camera, self.sizes[camera.name], camera.name) for camera in cameras if has_noise
         ]
         self._renderer: Renderer | RenderPool | None = None
         self.capture_times: dict[str, float] = {}

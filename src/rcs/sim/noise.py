@@ -1,7 +1,7 @@
 """Noise of cameras: errors of colour sensors and of stereo depth.
 
-The noise of a frame depends only on the camera, the time and the positions of all joints: every frame has its own, and
-the same seed gives the same frames in any copy and in every replay.
+The noise of a frame depends only on the camera's name, the time and the positions of all joints: every frame has its
+own, and the same seed gives the same frames in any copy and in every replay, whichever other cameras are observed.
 
 Depth has the errors of the RealSense D400 series; 0 is no reading, as on the device:
 
@@ -53,16 +53,16 @@ _DEPTH_BRANCH = 0x5DEECE66D
 class CameraNoise:
     """Noise of one camera, added to rendered frames."""
 
-    def __init__(self, camera: CameraDescription, size: tuple[int, int], number: int) -> None:
+    def __init__(self, camera: CameraDescription, size: tuple[int, int], name: str) -> None:
         """Prepare the noise.
 
         Args:
             camera: The camera's figures.
             size: Width and height of frames [px].
-            number: Number of the camera in its scene; each number has different noise.
+            name: Name of the camera in its scene; each name has different noise.
         """
         self._camera = camera
-        self._number = number
+        self._name = name.encode()
         self._nearest = nearest_depth(camera, size)
 
     def add(self, frame: dict[str, NDArray[Any]], moment: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
@@ -84,7 +84,7 @@ class CameraNoise:
 
     def _seed(self, moment: NDArray[np.float64]) -> int:
         """Return 64 bits that are others for any other moment or camera."""
-        bits = np.ascontiguousarray(moment).tobytes() + self._number.to_bytes(8, "little")
+        bits = np.ascontiguousarray(moment).tobytes() + self._name
         return int.from_bytes(hashlib.blake2b(bits, digest_size=8).digest(), "little")
 
 
