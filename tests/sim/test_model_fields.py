@@ -33,6 +33,7 @@ SCENE = """
       <body name="ball"><geom name="ball" type="sphere" size=".1"/><joint name="slide" type="slide"/></body>
     </body>
     <body name="puck" pos="0 1 1"><freejoint/><geom type="sphere" size=".1"/></body>
+    <body name="mark"/>
   </worldbody>
   <actuator><position name="servo" joint="hinge"/></actuator>
 </mujoco>
@@ -50,7 +51,8 @@ def model() -> mujoco.MjModel:
         ("geom_friction", "*", ["ground", "box", "knob", "rod", "rim", "egg", "wedge", "ball", "puck"]),
         ("geom_friction", ("r*", "knob"), ["knob", "rod", "rim"]),
         ("geom_friction", "box", ["box"]),
-        ("body_mass", "*", ["box", "arm", "ball", "puck"]),
+        ("body_mass", "*", ["box", "arm", "ball", "puck", "mark"]),
+        ("geom_size", ("knob", "r*"), ["knob", "rod", "rim"]),
         ("dof_armature", "*", ["free"] * 6 + ["hinge", "slide"] + ["puck"] * 6),
         ("jnt_range", "?*i*e", ["hinge", "slide"]),
         ("actuator_gainprm", "servo", ["servo"]),
@@ -107,6 +109,10 @@ def test_a_range_that_makes_no_sense_is_refused_when_it_is_made(values: dict[str
         (FieldRange("body_mass", 0.5, 2.0, names="world"), "'world'"),
         (FieldRange("geom_friction", -2.0, 0.0, operation="add"), "values from 0"),
         (FieldRange("body_mass", 0.0, 1.0, operation="set"), "values above 0"),
+        (FieldRange("body_mass", -100.0, 0.0, operation="add"), "values above 0"),
+        (FieldRange("body_mass", -1e-3, 0.0, names="mark", operation="add"), "without mass; valid: values from 0"),
+        (FieldRange("geom_size", -0.2, 0.0, names="knob", operation="add"), "values above 0"),
+        (FieldRange("geom_size", -0.1, 0.1, names="rod", operation="set"), "values above 0"),
         (FieldRange("geom_size", 0.5, 2.0, names="wedge"), "'wedge'.*simple shapes"),
         (FieldRange("body_ipos", -0.1, 0.1, names="puck", operation="add"), "off its origin"),
     ],

@@ -164,12 +164,16 @@ def find_rows(model: mujoco.MjModel, wanted: FieldRange) -> tuple[NDArray[np.int
             valid = f"columns from 0 to {columns - 1}" if columns else "None, since an element has one number"
             raise InvalidSetup(f"axes of {wanted.field} is {wanted.axes}; valid: {valid}.")
         nominal = nominal[:, wanted.axes]
-    smallest = nominal.min(initial=np.inf)
+    # Zeros where numbers must be positive are unused columns of a size, or of bodies without mass.
+    smallest = nominal.min(initial=np.inf, where=nominal > 0 if wanted.field in POSITIVE else True)
     least = {"scale": smallest * wanted.low, "add": smallest + wanted.low}.get(wanted.operation, wanted.low)
     if least < 0 and wanted.field in NOT_NEGATIVE:
         raise InvalidSetup(f"{wanted.key} reaches {least:g}; valid: values from 0.")
-    if least <= 0 < smallest and wanted.field in POSITIVE:
+    if least <= 0 and wanted.field in POSITIVE:
         raise InvalidSetup(f"{wanted.key} reaches {least:g}; valid: values above 0.")
+    adds_less = wanted.operation == "add" and wanted.low < 0
+    if adds_less and wanted.field in ("body_mass", "body_inertia") and (nominal == 0).any():
+        raise InvalidSetup(f"{wanted.key} reaches {wanted.low:g} for a body without mass; valid: values from 0.")
     if wanted.field == "geom_size" and (fixed := [i for i in chosen if model.geom_type[i] not in SIMPLE_SHAPES]):
         raise InvalidSetup(f"geom_size of {names[fixed[0]]!r} cannot vary; simple shapes alone have their own size.")
     if wanted.field in ("body_ipos", "body_iquat") and (simple := [i for i in chosen if model.body_simple[i]]):
