@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
 from rcs.errors import InvalidSetup
 from rcs.robots.cameras import REALSENSE_D405
+from rcs.robots.compliance import Compliance
 from rcs.robots.description import Mount
 from rcs.robots.fr3 import FR3
 from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
@@ -69,6 +72,23 @@ def test_a_mounted_camera_looks_along_the_z_axis_of_its_optical_frame() -> None:
     axes = camera.xmat.reshape(3, 3)
     np.testing.assert_allclose(-axes[:, 2], [1.0, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(-axes[:, 1], [0.0, 1.0, 0.0], atol=1e-9)
+
+
+def test_a_camera_on_the_axis_of_a_moving_body_has_no_bracket(placement: RobotPlacement) -> None:
+    scene = Scene.empty()
+    scene.add_robot(placement)
+    above = Mount(translation=(0.0, 0.0, 0.2))
+    camera = CameraPlacement(name="eye", camera=REALSENSE_D405, parent_body="fr3/link7", optical_in_parent=above)
+    scene.add_camera(camera)
+    scene.compile()
+
+
+def test_a_robot_that_is_refused_leaves_the_scene_as_it_was(placement: RobotPlacement) -> None:
+    scene = Scene.empty()
+    with pytest.raises(InvalidSetup, match="joints has 6 numbers"):
+        scene.add_robot(replace(placement, compliance=Compliance(joints=(100.0,) * 6)))
+    scene.add_robot(placement)
+    scene.compile()
 
 
 def test_a_robot_at_home_stays_at_home(placement: RobotPlacement) -> None:

@@ -116,3 +116,7 @@ def test_a_body_or_a_pad_that_is_not_there_is_refused(placement: RobotPlacement)
         scene.add_tactile(replace(sensor, parent_body="thumb"))
     with pytest.raises(InvalidSetup, match=r"replace 'nail'.*left_pad"):
         scene.add_tactile(replace(sensor, replaced_pad="nail"))
+    with pytest.raises(InvalidSetup, match=r"not in the scene: \['nail'\].*left_pad"):
+        scene.add_tactile(replace(sensor, other_pads=("fr3/gripper/right_pad", "nail")))
+    scene.add_tactile(sensor)
+    scene.compile()

@@ -32,16 +32,23 @@ BASE_TOLERANCE = 1e-6
 
 
 def give_way(spec: mujoco.MjSpec, robot: RobotPlacement) -> None:
-    """Make the servos of a robot with a compliance give way.
+    """Make the servos in the model of an arm give way if the robot has a compliance.
 
     Controllers that lead an arm by torques measure them behind the gears and compensate friction, so joints have none.
+
+    Args:
+        spec: Model of the arm alone, changed in place.
+        robot: The robot.
+
+    Raises:
+        InvalidSetup: The compliance is of another number of joints.
     """
     compliance = robot.compliance
     if compliance is None:
         return
     stiffness, damping = damped(compliance, robot.arm, robot.end_effector).gains
     for i, (joint_name, actuator_name) in enumerate(zip(robot.arm.joints, robot.arm.actuators, strict=True)):
-        joint, servo = spec.joint(robot.prefix + joint_name), spec.actuator(robot.prefix + actuator_name)
+        joint, servo = spec.joint(joint_name), spec.actuator(actuator_name)
         joint.frictionloss, joint.damping = 0.0, np.zeros_like(joint.damping)
         if compliance.is_of_tcp:
             servo.set_to_motor()

@@ -280,7 +280,7 @@ class Scene:
             assets: Source of its looks; nothing else depends on it.
 
         Raises:
-            InvalidSetup: The scene already has a robot of that name.
+            InvalidSetup: The scene already has a robot of that name, or the compliance is not one of the arm.
         """
         if any(other.name == robot.name for other in self.robots):
             raise InvalidSetup(f"Two robots are named {robot.name!r}; give each a name of its own.")
@@ -293,9 +293,9 @@ class Scene:
                 parts.append((GRIPPER_PREFIX, robot.gripper.menagerie))
             self._lacks_details = not exchange_visuals(arm, parts)
         add_load(arm, robot.arm)
+        give_way(arm, robot)
         self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
         self._aim_overview([*self.robots, robot])
-        give_way(self.spec, robot)
         for actuator in robot.arm.actuators:
             # The control of a moving servo leads its target, even where that is a limit; the motion keeps the limits.
             self.spec.actuator(robot.prefix + actuator).ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -335,6 +335,8 @@ class Scene:
         """Draw a bracket between a moving camera and its body, so that it does not seem to float."""
         optical = camera.optical_in_parent
         behind = np.array(optical.translation) - 0.012 * optical.pose.matrix[:3, 2]
+        if np.allclose(behind[:2], 0.0):
+            return  # on the z axis of the body, a bracket would have no length
         parent.add_geom(
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
             size=[0.006, 0.0, 0.0],
@@ -375,8 +377,7 @@ class Scene:
         """Compile the model; warn about robots whose servos cannot carry their weight.
 
         Raises:
-            InvalidSetup: A part cannot be compiled, a robot's base is moved by a pose in its file,
-                or a varied field names nothing.
+            InvalidSetup: A part cannot be compiled, a base is moved by a pose in its file, or a varied field is wrong.
         """
         arms = [robot.arm for robot in self.robots]
         effectors = [robot.end_effector for robot in self.robots if robot.end_effector is not None]

@@ -68,7 +68,7 @@ def attach_tactile(spec: mujoco.MjSpec, placement: TactilePlacement) -> None:
         placement: The sensor and its mount.
 
     Raises:
-        InvalidSetup: The body is not in the scene, or it lacks the pad.
+        InvalidSetup: The body or one of the other pads is not in the scene, or the body lacks the pad.
     """
     parent = spec.body(placement.parent_body)
     if parent is None:
@@ -76,6 +76,11 @@ def attach_tactile(spec: mujoco.MjSpec, placement: TactilePlacement) -> None:
             f"Tactile sensor {placement.name!r} is mounted on {placement.parent_body!r}, which is not in the scene."
         )
     pad = None if placement.replaced_pad is None else _pad(parent, placement)
+    if missing := [name for name in placement.other_pads if spec.geom(name) is None]:
+        raise InvalidSetup(
+            f"Tactile sensor {placement.name!r} has other pads that are not in the scene: {missing}; "
+            f"{placement.parent_body!r} has {_geom_names(parent)}."
+        )
     frame = mount_frame(parent, placement.sensor_in_parent)
     spec.attach(load(placement.sensor), frame=frame, prefix=f"{placement.name}/")
     if pad is not None:
@@ -100,10 +105,14 @@ def _pad(parent: mujoco.MjsBody, placement: TactilePlacement) -> mujoco.MjsGeom:
     pads = [geom for geom in parent.geoms if geom.name == placement.replaced_pad]
     if not pads:
         raise InvalidSetup(
-            f"Tactile sensor {placement.name!r} cannot replace {placement.replaced_pad!r}; {placement.parent_body!r}  "
-            f"has {[geom.name for geom in parent.geoms if geom.name]}."
+            f"Tactile sensor {placement.name!r} cannot replace {placement.replaced_pad!r}; {placement.parent_body!r} "
+            f"has {_geom_names(parent)}."
         )
     return pads[0]
+
+
+def _geom_names(body: mujoco.MjsBody) -> list[str]:
+    return [geom.name for geom in body.geoms if geom.name]
 
 
 def _clear_way(spec: mujoco.MjSpec, parent: mujoco.MjsBody, pad: mujoco.MjsGeom, placement: TactilePlacement) -> None:
