@@ -36,6 +36,18 @@ def test_a_period_shorter_than_a_physics_step_is_refused(cart: mujoco.MjModel) -
         World(cart).core.on_period(Callback(lambda view: None), 0.0005)
 
 
+def test_a_period_between_two_multiples_of_the_physics_step_is_refused_with_both(cart: mujoco.MjModel) -> None:
+    world = World(cart)
+    for period, nearest in ((1 / 30, "0.032 s and 0.034 s"), (0.0015, "0.002 s and 0.004 s")):
+        with pytest.raises(InvalidSetup, match=f"nearest are {nearest}"):
+            world.on_period(lambda view: None, period)
+    for wrong in (0.0005, np.nan, np.inf):
+        with pytest.raises(InvalidSetup, match="at least one physics step"):
+            world.on_period(lambda view: None, wrong)
+    for period in (0.002, 0.3, 0.1 + 0.2, 1e7):
+        world.on_period(lambda view: None, period)
+
+
 @pytest.mark.parametrize("copies", [None, 4])
 @pytest.mark.parametrize("kind", ["on_period", "converge_when", "interrupt_when"])
 def test_an_exception_of_a_callback_reaches_the_caller(cart: mujoco.MjModel, copies: int | None, kind: str) -> None:

@@ -15,6 +15,8 @@ import pytest
 
 from rcs._core import StepCallback
 from rcs.errors import WrongOrder
+from rcs.sim import RobotPlacement
+from rcs.sim.robot import SimRobot
 from rcs.sim.world import Callback, World
 
 RunProgram = Callable[..., subprocess.CompletedProcess[str]]
@@ -171,6 +173,19 @@ def test_a_world_whose_callback_refers_to_it_leaves_nothing_behind(cart: mujoco.
     gc.collect()
     assert [ref() for ref in left] == [None] * 10
     assert threads() == before
+
+
+def test_a_robot_keeps_no_threads_of_a_closed_world(lab: mujoco.MjModel, placement: RobotPlacement) -> None:
+    gc.collect()
+    before = threads()
+    robot = SimRobot(World(lab, copies=4, threads=4), placement)
+    robot.go_home()
+    robot.world.advance()
+    targets = robot.joint_targets
+    robot.world.close()
+    gc.collect()
+    assert threads() == before
+    np.testing.assert_array_equal(robot.joint_targets, targets)
 
 
 @pytest.mark.skipif(not hasattr(__import__("os"), "fork"), reason="there is no fork here")

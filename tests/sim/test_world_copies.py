@@ -34,6 +34,9 @@ def test_no_copies_are_none_and_not_all(world: World, none: Any) -> None:
     world.advance()
     for call in (world.advance, world.reset, world.refresh, world.update_constants):
         call(none)
+    saved = world.save(none)
+    assert saved.shape == (0, world.core.save_size)
+    world.load(saved, none)
     np.testing.assert_array_equal(world.core.steps, [1, 1, 1])
 
 
@@ -65,6 +68,7 @@ def test_a_world_of_one_has_one_copy_to_name(cart: mujoco.MjModel) -> None:
     world = World(cart)
     world.advance([0])
     world.advance([])
+    world.load(world.save([]), [])
     assert world.core.steps[0] == 1
     for wrong in ([1], [0, 0], [True]):
         with pytest.raises(InvalidSetup):

@@ -14,6 +14,7 @@ import pytest
 from rcs._core import StepEnd
 from rcs.errors import InvalidSetup
 from rcs.sim import RobotPlacement, World
+from rcs.sim.loads import SimLoads
 from rcs.sim.robot import SimRobot
 from rcs.spatial import Pose
 
@@ -191,6 +192,31 @@ def test_an_array_of_readouts_stays_valid_when_readouts_are_added(cart: mujoco.M
     for joints, opened in (([], 1.0), ([0], 0.0), ([7], 1.0)):
         with pytest.raises(InvalidSetup, match="opening readout"):
             core.read_opening(joints, 0.0, opened)
+
+
+@pytest.mark.parametrize("copies", [None, 2])
+def test_what_is_read_out_late_is_right_and_freezes_nothing(
+    lab: mujoco.MjModel, placement: RobotPlacement, copies: int | None
+) -> None:
+    world, other = (World(lab, copies=copies, threads=1) for _ in range(2))
+    robot = SimRobot(world, placement)
+    robot.go_home()
+    world.refresh()
+    home = robot.tcp_tquat
+    late = world.read_pose("fr3/link7", placement.base_body)
+    np.testing.assert_array_equal(robot.tcp_tquat, home)
+    loads, twin = SimLoads(robot), SimRobot(world, placement)
+    np.testing.assert_array_equal([twin.opening, robot.opening], 1.0)
+    robot.command_joints(robot.joints + 0.2)
+    for _ in range(10):
+        world.advance()
+    assert np.abs(robot.tcp_tquat - home).max() > 0.01
+    np.testing.assert_array_equal(twin.tcp_tquat, robot.tcp_tquat)
+    assert loads.joint_torques.shape == (*world.leading, 7) and loads.joint_torques.any()
+    early = other.read_pose("fr3/link7", placement.base_body)
+    other.qpos[...] = world.qpos
+    other.refresh()
+    np.testing.assert_allclose(world.poses[..., late, :], other.poses[..., early, :], atol=1e-12)
 
 
 @pytest.mark.parametrize("copies", [None, 3])

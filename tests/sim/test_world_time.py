@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from rcs._core import Collision, JointsArrived, JointsAtRest, StepEnd
 from rcs.errors import InvalidSetup
-from rcs.sim.world import Callback, World, control_period
+from rcs.sim.periods import control_period
+from rcs.sim.world import Callback, World
 
 RunProgram = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -149,6 +150,7 @@ def test_joints_are_at_rest_only_after_they_stood_still_for_the_duration(cart: m
     [
         ({"copies": 0}, InvalidSetup, "copies is 0"),
         ({"max_substeps": 0}, InvalidSetup, "max_substeps"),
+        ({"stepping": "fast"}, InvalidSetup, "stepping is 'fast'; valid: 'async', 'sync', 'realtime'"),
     ],
 )
 def test_numbers_that_make_no_sense_are_refused(cart, arguments, error, text) -> None:

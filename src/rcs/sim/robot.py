@@ -98,15 +98,11 @@ class SimRobot:
         self.placement = robot
         self.layout = RobotLayout.of(robot, world.model)
         arm = robot.arm
-        ids, first = self.layout, self.layout.motion
+        ids = self.layout
         springs = springs_of(robot, ids.tcp_site, ids.base_body)
-        motion = Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies, springs)
+        motion = Motion(ids.joint_ids, ids.actuator_ids, ids.motion, arm.motion_limits, world.copies, springs)
         self.motion = world.core.add_motion(motion) if is_led else motion
         """Leads the arm to its targets."""
-        assert world.userdata is not None, "the scene has given every arm its user data"
-        self._target = world.userdata[..., first : first + arm.dof]
-        self._memory = world.userdata[..., first : first + Trajectory.size(arm.dof)]
-        self._order_to_hold = self._memory[..., -1]
         self.tcp_readout = world.core.read_pose(self.layout.tcp_site, self.layout.base_body)
         """Index of the TCP's pose in `world.poses`."""
         self._opening: int | None = None
@@ -115,6 +111,15 @@ class SimRobot:
             self._opening = world.core.read_opening(self.layout.finger_joint_ids, closed, opened)
             self._closed = robot.gripper.ctrl_closed
             self._span = robot.gripper.ctrl_open - robot.gripper.ctrl_closed
+        world.renew()
+
+    @property
+    def _memory(self) -> NDArray[np.float64]:
+        """Live numbers of the arm's motion: targets first, the order to hold last."""
+        # Not a view that is kept, which would keep the threads of a closed world.
+        memory, first = self.world.userdata, self.layout.motion
+        assert memory is not None, "the scene has given every arm its user data"
+        return memory[..., first : first + Trajectory.size(self.placement.arm.dof)]
 
     @property
     def joints(self) -> NDArray[np.float64]:
@@ -182,24 +187,26 @@ class SimRobot:
 
     def command_joints(self, joints: NDArray[np.float64]) -> None:
         """Set the joint targets [rad], (*leading, dof); the arm moves there within its limits."""
-        self._target[...] = joints
-        self._order_to_hold[...] = 0.0
+        memory = self._memory
+        memory[..., : self.placement.arm.dof] = joints
+        memory[..., -1] = 0.0
 
     @property
     def joint_targets(self) -> NDArray[np.float64]:
         """Joint targets [rad], (*leading, dof), a fresh array."""
-        return self._target.copy()
+        return self._memory[..., : self.placement.arm.dof].copy()
 
     def stop(self) -> None:
         """Brake the arm of every copy to rest within its limits; any thread may call this."""
-        self._target[...] = self.joints
-        self._order_to_hold[...] = 1.0
+        memory = self._memory
+        memory[..., : self.placement.arm.dof] = self.joints
+        memory[..., -1] = 1.0
 
     def _stand(self, joints: NDArray[np.float64], copies: Copies = None) -> None:
-        dof = self.placement.arm.dof
-        self._memory[_at(slice(0, Trajectory.size(dof)), copies)] = 0.0
+        dof, memory = self.placement.arm.dof, self._memory
+        memory[_at(slice(0, Trajectory.size(dof)), copies)] = 0.0
         for row in Trajectory.POSITION_ROWS:
-            self._memory[_at(slice(row * dof, (row + 1) * dof), copies)] = joints
+            memory[_at(slice(row * dof, (row + 1) * dof), copies)] = joints
 
     def _place(self, joints: NDArray[np.float64], copies: Copies = None) -> None:
         world, layout = self.world, self.layout

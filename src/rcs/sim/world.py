@@ -8,8 +8,7 @@ thread pool without the GIL, and its result does not depend on the number of thr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from fractions import Fraction
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import mujoco
 import numpy as np
@@ -19,6 +18,7 @@ from rcs_data.options import require_whole
 from rcs import _core
 from rcs._core import StepCallback, StepEnd, StepView
 from rcs.errors import InvalidSetup, SimulationError
+from rcs.sim.periods import control_period, require_multiple
 
 Stepping = Literal["async", "sync", "realtime"]
 """How long a step lasts: one control period of simulated time, until converged, or one on the wall clock."""
@@ -30,10 +30,6 @@ StepFunction = Callable[[StepView], bool | None]
 """A function that sees a copy during a step; None counts as False."""
 MOST = 2**31 - 1
 """Largest number of copies and of threads."""
-LOWEST_FREQUENCY = 1e-6
-"""Lowest control rate [Hz]: one step in eleven days."""
-SHORTEST_PHYSICS_STEP = 1e-9
-"""Shortest time step of the physics [s], the resolution of control periods."""
 DIVERGENCE = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -77,8 +73,11 @@ class World:
             max_substeps: Limit of physics steps in a synchronous step, counted from when its motions are to end.
 
         Raises:
-            InvalidSetup: A number is not valid, both `data` and `copies` are given, or the data are of another model.
+            InvalidSetup: A number or `stepping` is not valid, both `data` and `copies` are given, or the data are of
+                another model.
         """
+        if stepping not in get_args(Stepping):
+            raise InvalidSetup(f"stepping is {stepping!r}; valid: {', '.join(map(repr, get_args(Stepping)))}.")
         if copies is not None and data is not None:
             raise InvalidSetup("Give data for one copy or copies for many, not both.")
         if copies is not None:
@@ -125,6 +124,7 @@ class World:
         self._fields.clear()
         # Copies of the arrays, since this world's would keep the threads alive.
         self.qpos, self.qvel, self.ctrl, self.time = (a.copy() for a in (self.qpos, self.qvel, self.ctrl, self.time))
+        self.userdata = None if self.userdata is None else self.userdata.copy()
 
     @property
     def copies(self) -> int:
@@ -145,7 +145,11 @@ class World:
         Args:
             function: Gets the state of the copy, to look at and to write controls into.
             period: Time between two calls [s], a multiple of the time step of the physics.
+
+        Raises:
+            InvalidSetup: The period is no such multiple; the message has the nearest.
         """
+        require_multiple(period, self.model.opt.timestep)
         self.core.on_period(Callback(function), period)
 
     @property
@@ -161,13 +165,25 @@ class World:
     def read_pose(self, body: str, frame: str = "world") -> int:
         """Register the pose of a body in the frame of another one; return its index in `poses`.
 
+        It is valid from the next step or `refresh` on; at once if readouts have been used before, as `renew` says.
+
         Raises:
             KeyError: A body is not in the model.
         """
-        return self.core.read_body_pose(self.model.body(body).id, self.model.body(frame).id)
+        index = self.core.read_body_pose(self.model.body(body).id, self.model.body(frame).id)
+        self.renew()
+        return index
+
+    def renew(self) -> None:
+        """Have the arrays of readouts include those that were added to `core`; to be called after adding some.
+
+        If the arrays have been used before, all readouts are refreshed: forces are then 0 until the next step.
+        """
+        if self._readouts is not None:
+            self.refresh()
 
     def _read_out(self) -> _Readouts:
-        """Take views of the readouts. After the first use, no readouts may be added."""
+        """Take views of the readouts, which exist from the first use on."""
         core = self.core
         self._readouts = _Readouts(core.poses, core.xyzrpy, core.forces, core.openings, core.measurements)
         return self._readouts
@@ -228,13 +244,14 @@ class World:
 
     def refresh(self, copies: Copies = None) -> None:
         """Recompute the readouts (poses, forces) after writing the state."""
-        self._readouts = None  # some may have been added
+        if self._readouts is not None:
+            self._read_out()  # some may have been added
         self.core.refresh(*_chosen(copies))
 
     def save(self, copies: Copies = None) -> NDArray[np.float64]:
         """Return everything that decides the future of copies, and the readouts, (copies, values)."""
         chosen = range(self.copies) if copies is None else copies
-        return np.stack([self.core.save(int(copy)) for copy in chosen])
+        return np.reshape([self.core.save(int(copy)) for copy in chosen], (-1, self.core.save_size))
 
     def load(self, saved: NDArray[np.float64], copies: Copies = None) -> None:
         """Write back a result of `save`, (copies, values), also one of another world of the same kind.
@@ -244,7 +261,7 @@ class World:
         """
         for copy, row in zip(range(self.copies) if copies is None else copies, saved, strict=True):
             self.core.load(row, int(copy))
-        if self.data is not None:
+        if self.data is not None and len(saved):
             self.refresh()  # what is drawn
             self.core.load(saved[0])  # the readouts were those of the last step
 
@@ -368,23 +385,3 @@ class Callback(StepCallback):
     def call(self, view: StepView) -> bool:
         """Call the function."""
         return bool(self._function(view))
-
-
-def control_period(frequency: float, physics_step: float) -> Fraction:
-    """Return the control period in physics steps as an exact ratio, so that the mean rate is exact.
-
-    Args:
-        frequency: Control steps per second [Hz].
-        physics_step: Time step of the physics [s].
-
-    Raises:
-        InvalidSetup: The frequency is too low or higher than that of the physics, or the physics has no time step.
-    """
-    if not (np.isfinite(physics_step) and physics_step >= SHORTEST_PHYSICS_STEP):
-        raise InvalidSetup(f"The model's time step is {physics_step} s; it must be at least {SHORTEST_PHYSICS_STEP} s.")
-    if not (np.isfinite(frequency) and LOWEST_FREQUENCY <= frequency <= 1 / physics_step + 1e-9):
-        raise InvalidSetup(
-            f"frequency is {frequency} Hz; valid is from {LOWEST_FREQUENCY} Hz up to the physics' "
-            f"{1 / physics_step:g} Hz."
-        )
-    return 1 / (Fraction(frequency).limit_denominator(10**6) * Fraction(physics_step).limit_denominator(10**9))

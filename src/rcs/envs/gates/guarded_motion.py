@@ -39,7 +39,7 @@ class GuardedMotions:
         """
         self._world, self._period = world, period
         self._simulated: dict[str, Motion] = {}
-        self._orders: list[NDArray[np.float64]] = []
+        self._orders: list[int] = []
         self._real: dict[str, tuple[Trajectory, NDArray[np.float64]]] = {}
         for robot in robots:
             arm = robot.arm
@@ -49,8 +49,7 @@ class GuardedMotions:
             ids = RobotLayout.of(robot, world.model)
             motion = Motion(ids.joint_ids, ids.actuator_ids, ids.motion, arm.motion_limits, world.copies)
             self._simulated[robot.name] = world.core.add_motion(motion)
-            assert world.userdata is not None, "the scene has given every arm its user data"
-            self._orders.append(world.userdata[..., ids.motion + Trajectory.size(arm.dof) - 1])
+            self._orders.append(ids.motion + Trajectory.size(arm.dof) - 1)
         self._names = [robot.name for robot in robots]
 
     def stand(self, joints: Joints) -> None:
@@ -74,8 +73,10 @@ class GuardedMotions:
 
     def hold(self, copies: NDArray[np.bool_]) -> None:
         """Have the arms of some copies brake to rest in the next step, instead of going to their targets."""
+        userdata = None if self._world is None else self._world.userdata
         for order in self._orders:
-            order[copies] = 1.0
+            assert userdata is not None, "the scene has given every arm its user data"
+            userdata[..., order][copies] = 1.0
 
     def ways(self, copy: int, targets: Joints | None) -> list[NDArray[np.float64]]:
         """Return where every arm is led in a step to targets and while it then brakes to rest, (n, dof) each.
