@@ -220,7 +220,12 @@ def test_the_indentation_grows_with_the_force(force: float) -> None:
         world.advance()
     assert float(sensor.force) == pytest.approx(force, rel=0.02)
     expected = DIGIT.max_indentation * force / DIGIT.force_range[1]
-    assert sensor.read()["indentation"].max() == pytest.approx(expected, rel=0.03)
+    reading = sensor.read()
+    assert reading["indentation"].max() == pytest.approx(expected, rel=0.03)
+    given = sensor.force
+    world.refresh()  # the state is the same, and no step has led to it
+    assert not sensor.read()["indentation"].any()
+    np.testing.assert_array_equal(sensor.read(given)["rgb"], reading["rgb"])
 
 
 def test_every_copy_feels_what_a_world_of_one_feels() -> None:

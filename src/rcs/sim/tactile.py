@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rcs.errors import InvalidSetup
 from rcs.sim.gel import Gel, GelImage, GelLight
@@ -72,21 +72,18 @@ class SimTactile:
             )
         if look == "tacto" and background is not None:
             raise InvalidSetup("Tacto has its own background; leave background out, or use look='rcs'.")
-        model = world.model
-        try:
-            self._body: int = model.body(placement.body_name).id
-            gel_geom: int = model.geom(placement.gel_name).id
-        except KeyError as err:
-            raise InvalidSetup(f"Tactile sensor {placement.name!r} is not in this model: {err}") from err
         self.placement = placement
         self.gel = Gel(placement.sensor)
         self._world = world
         self._by_force = indentation == "force"
         self._renderer = _renderer(placement, self.gel, look, background)
         self._noise = None if noise_seed is None else np.random.default_rng(noise_seed)
-        is_gel = np.zeros(model.ngeom, np.uint8)
-        is_gel[gel_geom] = 1
-        self._force = world.core.read_force(is_gel, 1 - is_gel)
+        model = world.model
+        try:
+            self._body: int = model.body(placement.body_name).id
+            self._force = read_force(world, placement)
+        except KeyError as err:
+            raise InvalidSetup(f"Tactile sensor {placement.name!r} is not in this model: {err}") from err
         # The body that carries the sensor is not felt; for the world, this includes all fixed bodies.
         fixed_to = model.body_weldid[self._body]
         bodies = model.geom_bodyid
@@ -104,8 +101,12 @@ class SimTactile:
         """Normal force on the gel in the last physics step [N], (*leading,), a fresh array."""
         return self._world.forces[..., self._force].copy()
 
-    def read(self) -> dict[str, NDArray[Any]]:
+    def read(self, forces: ArrayLike | None = None) -> dict[str, NDArray[Any]]:
         """Return the present frame.
+
+        Args:
+            forces: Normal forces on the gel [N], (*leading,), for a state that this world has not stepped to; None for
+                those of its last physics step.
 
         Returns:
             `rgb` (*leading, H, W, 3) uint8, and `indentation` (*leading, H, W) float32: displacement of the gel's
@@ -115,8 +116,9 @@ class SimTactile:
         leading = self._world.leading
         rgb = np.empty((*leading, height, width, 3), np.uint8)
         indentation = np.empty((*leading, height, width), np.float32)
+        normal = self.force if forces is None else np.broadcast_to(np.asarray(forces, np.float64), leading)
         for copy in np.ndindex(leading):
-            indentation[copy] = self._feel(copy)
+            indentation[copy] = self._feel(copy, float(normal[copy]))
             rgb[copy] = self._with_noise(self._renderer.draw(indentation[copy]))
         return {"rgb": rgb, "indentation": indentation}
 
@@ -148,11 +150,10 @@ class SimTactile:
         seen.geom_group[self._is_own] = UNFELT_GROUP
         return seen
 
-    def _feel(self, copy: tuple[int, ...]) -> NDArray[np.float32]:
-        """Return the gel's displacement in one copy [m], (H, W)."""
+    def _feel(self, copy: tuple[int, ...], force: float) -> NDArray[np.float32]:
+        """Return the gel's displacement in one copy [m], (H, W), under a force [N]."""
         sensor = self.placement.sensor
         least, most = sensor.force_range
-        force = float(self._world.forces[(*copy, self._force)]) if self._by_force else 0.0
         if self._by_force and force <= least:
             return np.zeros(self.gel.rest.shape, np.float32)
         model, data = self._present(copy)
@@ -223,6 +224,18 @@ class SimTactile:
     def close(self) -> None:
         """Free the renderer. Closing twice is harmless; reading again makes a new one."""
         self._renderer.close()
+
+
+def read_force(world: World, placement: TactilePlacement) -> int:
+    """Register the normal force on a sensor's gel for readout; return its index in `world.forces`.
+
+    Raises:
+        KeyError: The sensor is not in the world.
+    """
+    is_gel = world.geom_flags([placement.gel_name])
+    index = world.core.read_force(is_gel, 1 - is_gel)
+    world.renew()
+    return index
 
 
 def _around(flags: NDArray[np.bool_], across: int) -> slice:

@@ -127,6 +127,7 @@ class Eyes:
         self.parts, self._shared = parts, shared
         self._cameras: dict[tuple[int, int], SimCameras] = {}
         self._skins = {skin.name: SimTactile(self.world, skin) for skin in parts.tactile}
+        self._forces: dict[str, np.float64] = {}
         self.sensors: dict[str, Sensor] = {}
         for camera in parts.cameras:
             modes = {(mode.width, mode.height): mode.rates for mode in camera.camera.modes}
@@ -143,9 +144,11 @@ class Eyes:
             nearest = min((one.due for one in self.streams), default=now + 0.02)
             time.sleep(min(max(nearest - now, 0.0), 0.02))
             return
-        state, taken = self._shared.read()
+        values, taken = self._shared.read()
+        state, forces = np.split(values, [self.world.core.state_size])
         self.world.core.set_state(state)
         self.world.refresh()
+        self._forces = dict(zip(self._skins, forces, strict=True))
         drawn: dict[tuple[str, tuple[int, int]], bytes] = {}
         for stream in due:
             stream.tick = int(now * stream.fps)
@@ -162,7 +165,7 @@ class Eyes:
 
     def _pixels(self, name: str, size: tuple[int, int]) -> NDArray[np.uint8]:
         if name in self._skins:
-            return np.ascontiguousarray(self._skins[name].read()["rgb"])
+            return np.ascontiguousarray(self._skins[name].read(self._forces[name])["rgb"])
         if size not in self._cameras:
             self._cameras[size] = SimCameras(self.world, list(self.parts.cameras), size=size)
         return np.ascontiguousarray(self._cameras[size].read([name])[name]["rgb"])
@@ -229,7 +232,8 @@ def main(read: Callable[[], str], say: Callable[[Mapping[str, Any]], None]) -> N
     try:
         setup = Setup.from_json(about["setup"])
         eyes = Eyes(resolve(setup), SharedState(about["size"], about["file"]))
-        assert eyes.world.core.state_size == about["size"], "both worlds have the same scene"
+        size = eyes.world.core.state_size + len(eyes.parts.tactile)
+        assert size == about["size"], "both worlds have the same scene"
     except RcsError as err:
         say({"error": str(err)})
         return

@@ -1,7 +1,7 @@
 """The cameras and tactile sensors of a virtual world, drawn and served by a process of their own.
 
-The loop of the world copies its state into shared memory in every tick, which takes microseconds; the process draws it
-when a sensor's next picture is due, so that drawing never delays a tick.
+The loop of the world copies its state, and the forces on the gels, into shared memory in every tick, which takes
+microseconds; the process draws it when a sensor's next picture is due, so that drawing never delays a tick.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ import numpy as np
 
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, SimulationError
+from rcs.sim.tactile import read_force
+from rcs.sim.tactile_mounts import TactilePlacement
 from rcs.sim.world import World
 from rcs.virtual.fault import Fault
 
@@ -46,13 +48,13 @@ _HEAD = struct.Struct("qd")
 
 
 class SharedState:
-    """The newest state of a world in shared memory, with the moment at which it was written."""
+    """The newest state of a world, then the forces on its gels, in shared memory, with the moment of writing."""
 
     def __init__(self, size: int, file: int | None = None) -> None:
         """Make the memory, or map that of another process.
 
         Args:
-            size: Number of values of the state.
+            size: Number of values: of the state, and one for each gel.
             file: File descriptor of the memory; None to make it.
         """
         length = _HEAD.size + 8 * size
@@ -63,38 +65,41 @@ class SharedState:
         self._values = np.frombuffer(self._memory, np.float64, size, _HEAD.size)
         self._count = 0
 
-    def write(self, state: np.ndarray[Any, np.dtype[np.float64]]) -> None:
-        """Write a state of this moment."""
+    def write(self, values: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+        """Write the values of this moment, forces in newtons."""
         self._count += 1
         _HEAD.pack_into(self._memory, 0, 2 * self._count - 1, 0.0)
-        self._values[:] = state
+        self._values[:] = values
         _HEAD.pack_into(self._memory, 0, 2 * self._count, time.monotonic())
 
     def read(self) -> tuple[np.ndarray[Any, np.dtype[np.float64]], float]:
-        """Return the newest state and its moment [s, monotonic]; the moment is 0 before the first."""
+        """Return the newest values and their moment [s, monotonic]; the moment is 0 before the first."""
         while True:
             before, moment = _HEAD.unpack_from(self._memory, 0)
-            state = self._values.copy()
+            values = self._values.copy()
             if before % 2 == 0 and _HEAD.unpack_from(self._memory, 0)[0] == before:
-                return state, moment
+                return values, moment
             time.sleep(2e-5)
 
 
 class VirtualSensors:
     """The world's end of the process."""
 
-    def __init__(self, world: World, setup: Setup) -> None:
+    def __init__(self, world: World, setup: Setup, skins: Sequence[TactilePlacement]) -> None:
         """Start the process and wait until it serves.
 
         Args:
             world: The world whose states are drawn.
             setup: Its setup, with the cameras and the tactile sensors.
+            skins: The placements of these tactile sensors.
 
         Raises:
             InvalidSetup: The process does not start; the message has its words.
         """
-        self._core = world.core
-        self._shared = SharedState(world.core.state_size)
+        self._world = world
+        self._forces = [read_force(world, skin) for skin in skins]
+        size = world.core.state_size + len(skins)
+        self._shared = SharedState(size)
         self.show()
         self._process = subprocess.Popen(
             [sys.executable, "-m", "rcs.virtual.sensor_process"],
@@ -103,7 +108,7 @@ class VirtualSensors:
             pass_fds=[self._shared.file],
             text=True,
         )
-        about = {"setup": setup.to_json(), "file": self._shared.file, "size": world.core.state_size}
+        about = {"setup": setup.to_json(), "file": self._shared.file, "size": size}
         told = self._ask(about)
         if "port" not in told:
             self.close()
@@ -135,7 +140,8 @@ class VirtualSensors:
 
     def show(self) -> None:
         """Have the sensors see the present state of the world."""
-        self._shared.write(self._core.get_state())
+        # The forces are those of the step that led to the state, and do not follow from it.
+        self._shared.write(np.append(self._world.core.get_state(), self._world.forces[self._forces]))
 
     def tell(self, name: str, words: Sequence[str]) -> None:
         """Cause a fault of a sensor.

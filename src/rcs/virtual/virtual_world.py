@@ -121,7 +121,7 @@ class VirtualWorld:
                     label = "hand" if len(kinds) == 1 else f"{name}_hand"
                     self.hands[label] = (name, _wire_of(hand.name, wires or {})(self.robots[name], ""))
             if cameras or tactile:
-                self.sensors = VirtualSensors(self.world, self.setup)
+                self.sensors = VirtualSensors(self.world, self.setup, parts.tactile)
             robot = setup.robot
             self.control = Control(robot if isinstance(robot, str) else "-".join(robot))
         except BaseException:
