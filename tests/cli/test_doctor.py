@@ -158,6 +158,14 @@ def test_what_is_wrong_is_found_with_its_remedy_and_nothing_else(
     assert LabDriver.commands == 0
 
 
+def test_silence_at_the_end_of_the_reading_counts() -> None:
+    end = time.monotonic() + 0.5
+    with FakeCamera(CameraMode(64, 48, 30.0, False), clock=lambda: min(time.monotonic(), end)) as camera:
+        (found,) = module._watch("side", camera, 0.7, 0.12)
+    assert found.status == "fault"
+    assert "nothing new for" in found.message
+
+
 def test_joints_out_of_their_range_are_a_warning(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
     LabDriver.wrong = "beyond"
     code, found = examined(site, capsys)
@@ -254,6 +262,29 @@ def test_it_moves_after_a_question_only(
     code, found = examined(site, capsys, "--move")
     assert LabDriver.commands == 0
     assert any(one["message"].startswith("nothing moved, because nobody agreed to this: Move every") for one in found)
+
+
+def test_with_a_fault_nothing_moves_and_that_is_told(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    LabDriver.wrong = "black"
+    code, found = examined(site, capsys, "--move", "--yes")
+    assert code == 1
+    told = [(one["part"], one["status"]) for one in found if one["message"] == "nothing moved: there is a fault"]
+    assert told == [("motion", "warning")]
+    assert LabDriver.commands == 0
+
+
+def test_an_input_that_ends_at_the_question_ends_the_command(
+    site: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", Terminal(""))
+    assert ended(["doctor", "--site", str(site), "--seconds", "0.7", "--move"]) == 1
+    assert "The input has ended" in " ".join(capsys.readouterr().err.split())
+    assert LabDriver.commands == 0
+
+
+def test_options_of_an_examination_are_refused_without_a_site(capsys: pytest.CaptureFixture[str]) -> None:
+    assert ended(["doctor", "--robot", "fr3", "--move", "--json"]) == 1
+    assert "--robot, --move, --json has no meaning without --site" in " ".join(capsys.readouterr().err.split())
 
 
 def test_the_machine_is_described(tmp_path: Path) -> None:

@@ -7,7 +7,8 @@ import os
 import platform
 import re
 import sys
-from dataclasses import dataclass
+from contextlib import redirect_stdout
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from rcs_data.cli.console import plain_console
@@ -57,11 +58,17 @@ class DoctorCommand:
 
     def run(self) -> int:
         """Print it."""
-        return self._show_machine() if self.site is None else self._examine(self.site)
+        if self.site is not None:
+            return self._examine(self.site)
+        if wrong := [own.name for own in fields(self) if getattr(self, own.name) != own.default]:
+            names = ", ".join(f"--{name.replace('_', '-')}" for name in wrong)
+            raise InvalidSetup(f"{names} has no meaning without --site, the site file of a lab to examine.")
+        return self._show_machine()
 
     def _examine(self, path: Path) -> int:
         from rcs.cli.home import robot_of
         from rcs.cli.virtual import read_setup
+        from rcs.rollout.episode import read_line
         from rcs.rollout.examine import examine, read_site, setup_for
         from rcs.rollout.exercise import move
 
@@ -78,11 +85,16 @@ class DoctorCommand:
             raise InvalidSetup("The setup of --setup names robot and end effector; leave out --robot, --end-effector.")
         console = plain_console()
         found = [*_packages(site), *examine(site, setup, seconds=self.seconds)]
-        if self.move and worst(found) != "fault":
-            asking = plain_console(stderr=self.json)  # the output is JSON alone
+        if self.move and worst(found) == "fault":
+            remedy = "see to the faults; then try again"
+            found.append(
+                Finding(part="motion", status="warning", message="nothing moved: there is a fault", remedy=remedy)
+            )
+        elif self.move:
 
             def ask(question: str) -> bool:
-                return self.yes or asking.input(f"{question} [y]es, [n]o: ").strip().lower() in ("y", "yes")
+                with redirect_stdout(sys.stderr if self.json else sys.stdout):  # the output is JSON alone
+                    return self.yes or read_line(f"{question} [y]es, [n]o: ").strip().lower() in ("y", "yes")
 
             found += move(site, setup, ask)
         if self.page is not None:

@@ -176,6 +176,7 @@ def _watch(name: str, device: Any, seconds: float, stale_after: float) -> list[F
     while time.monotonic() - begin < min(SETTLING, 0.5 * seconds):  # its threads are starting
         _ = device.read() if isinstance(device, Camera) else device.state()
         time.sleep(0.002)
+    newest = time.monotonic()
     while not calls or time.monotonic() - begin < seconds:
         called = time.monotonic()
         last = device.read() if isinstance(device, Camera) else device.state()
@@ -184,10 +185,11 @@ def _watch(name: str, device: Any, seconds: float, stale_after: float) -> list[F
         mark = last.device_time if last.device_time == last.device_time else last.time
         if not times or mark != times[-1]:
             times.append(mark)
+            newest = time.monotonic()
         time.sleep(0.002)
     gaps = np.diff(times)
     rate = 1.0 / float(np.mean(gaps)) if len(gaps) else 0.0
-    gap = float(gaps.max()) if len(gaps) else seconds
+    gap = max(float(gaps.max()), time.monotonic() - newest) if len(gaps) else seconds
     text = f"{rate:.1f} measurements/s, longest gap {1e3 * gap:.0f} ms, longest call {1e3 * max(calls):.0f} ms"
 
     def fault(message: str, remedy: str) -> list[Finding]:
