@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 import rcs
 from rcs.agents import PickExpert, agent_for
+from rcs.agents.agent import is_path
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.tasks.pick_cuboid import PickCuboid
 
@@ -41,3 +43,12 @@ def test_the_expert_of_a_task_acts_in_it_and_is_made_for_it_alone(task: str, rob
     assert list(expert.events()) == []
     expert.close()
     expert.close()
+
+
+def test_a_folder_here_takes_no_name_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = ("PickCuboid", "planner", "my_run")
+    for name in names:
+        (tmp_path / name).mkdir()
+    assert [is_path(name) for name in names] == [False, False, True]
+    assert is_path("./PickCuboid")

@@ -129,10 +129,15 @@ def policy_at(given: Any) -> Any:
 
 
 def is_path(given: Any) -> bool:
-    """Return whether an agent or a task is given as the path of a checkpoint or a run, not by name."""
+    """Return whether an agent or a task is given as the path of a checkpoint or a run, not by name.
+
+    A word that is the name of one is no path, even if a folder here has the same name.
+    """
     if isinstance(given, Path):
         return True
-    return isinstance(given, str) and ":" not in given and (os.sep in given or Path(given).is_dir())
+    if not isinstance(given, str) or ":" in given:
+        return False
+    return os.sep in given or (Path(given).is_dir() and given not in (*lookup.names("task"), *lookup.names("agent")))
 
 
 def is_address(given: Any) -> bool:
