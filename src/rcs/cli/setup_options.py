@@ -17,7 +17,7 @@ from rcs_data.options import Record
 from tyro.constructors import PrimitiveConstructorSpec
 
 from rcs.agents.agent import is_path
-from rcs.envs.cameras import ALL, Cameras
+from rcs.envs.cameras import ALL, USUAL_SIZE, Cameras
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.hardware.site import Site
@@ -170,6 +170,8 @@ def changed(setup: Setup, options: Mapping[str, Any]) -> Setup:
     of_cameras = {fields[name]: value for name, value in options.items() if name in fields}
     if "image_size" in of_cameras:
         of_cameras.setdefault("mode", None)
+    elif of_cameras.get("mode") is not None:
+        of_cameras["image_size"] = USUAL_SIZE
     if "names" in of_cameras:  # sizes and rates of cameras that are left out go, too
         shown, before = Cameras(names=of_cameras["names"]).names, setup.cameras
         for name in ("image_size", "fps", "mounts"):
