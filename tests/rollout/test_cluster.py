@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 import rcs
 from rcs.cli.main import main
 from rcs.errors import InvalidSetup, MissingDependency
+from rcs.rollout import ray_pool
 from rcs.rollout.collect import collect
 from rcs.rollout.collection import Collection, Progress
 from rcs.rollout.evaluate import evaluate
@@ -59,6 +64,49 @@ def test_an_address_of_ray_client_is_refused() -> None:
         connected("ray://there:10001"),
     ):
         pass
+
+
+class Joining:
+    """A cluster to which a machine with two CPUs comes when it is asked for the fourth time."""
+
+    exceptions = None
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def cluster_resources(self) -> dict[str, int]:
+        self.asked += 1
+        return {"CPU": 2} if self.asked > 3 else {}
+
+    def put(self, value: Any) -> Any:
+        return value
+
+    def remote(self, **_: Any) -> Any:
+        return lambda task: SimpleNamespace(remote=lambda source, number: number)
+
+    def wait(self, pending: list[int], timeout: float) -> tuple[list[int], list[int]]:
+        return pending, []
+
+    def get(self, done: int) -> tuple[int, dict[str, Any]]:
+        return done, {}
+
+
+def test_without_a_cpu_what_has_nothing_left_ends_and_the_rest_waits_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    cluster = Joining()
+    monkeypatch.setattr(ray_pool, "connected", lambda address: nullcontext(cluster))
+    monkeypatch.setattr(ray_pool, "time", SimpleNamespace(sleep=lambda seconds: None))
+    taken: list[tuple[int, int]] = []
+
+    def numbers() -> Iterator[int]:
+        for number in range(3):
+            taken.append((number, cluster.asked))
+            yield number
+
+    with RayPool(list, 0, "auto") as pool:
+        assert list(pool.map(iter(()))) == []
+        assert cluster.asked == 1
+        assert sorted(result for result, _ in pool.map(numbers())) == [0, 1, 2]
+    assert taken[:2] == [(0, 2), (1, 4)], "one alone while there is no CPU"
 
 
 @pytest.mark.cluster

@@ -21,7 +21,7 @@ import uuid
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -95,20 +95,22 @@ class RayPool(Closing):
     def map(self, numbers: Iterator[int]) -> Iterator[tuple[Any, Files]]:
         """Map numbers to results and files, and yield these in order of completion.
 
-        A number is taken when a CPU is free.
+        A number is taken when a CPU is free. Without any CPU, one is taken to see whether there is work left.
 
         Raises:
             RcsError: A number has ended several workers, or the cluster is gone.
             Exception: A worker raised it.
         """
+        waiting: list[int] = []
         while True:
-            most = self._most()
-            for number in islice(numbers, max(most - len(self._pending), 0)):
+            room = max(self._most() - len(self._pending), 0)
+            for number in islice(chain(waiting, numbers), room):
                 self._pending[self._task.remote(self._source, number)] = number
+            waiting = waiting[room:]
             if self._pending:
                 for done in self._ray.wait(list(self._pending), timeout=_POLL)[0]:
                     yield self._result(done, self._pending.pop(done))
-            elif most:
+            elif not (waiting := waiting or list(islice(numbers, 1))):
                 return
 
     def _most(self) -> int:
