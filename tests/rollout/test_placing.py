@@ -25,6 +25,7 @@ from rcs.rollout.episode import run_episode
 from rcs.rollout.placing import Placer, PlacesInSimulation, Poses, SeededScene, offset
 from rcs.rollout.reexecute import reexecute
 from rcs.rollout.replay import replay
+from rcs.sim.randomisation import Randomisation
 from rcs.spatial import Pose
 
 SETUP = rcs.Setup(task_options={"placed_by": "robot"})
@@ -83,6 +84,19 @@ def test_a_cuboid_that_slips_in_the_gripper_on_the_way_is_not_pressed_onto_the_t
         _, placed = places.next(4269347463)
     assert placed["by"] == "robot", placed
     assert placed["off_mm"] < 3.0
+
+
+def test_the_robot_places_among_the_distractors_of_the_last_episode_and_as_late_as_there() -> None:
+    varied = Randomisation.off(action_latency=(0.0, 0.05), distractors=2, joint_damping=(0.8, 1.25))
+    setup = dataclasses.replace(SETUP, randomisation=varied)
+    with rcs.make(setup) as env, contextlib.closing(PlacesInSimulation(env)) as places:
+        env.reset(seed=5)
+        places.is_held = True
+        _, placed = places.next(7)
+        assert placed["by"] == "reset"  # the gripper was empty
+        for field in ("geom_size", "actuator_delay"):
+            there, here = (one.simulation.world.field(field) for one in (places._apart, env))
+            np.testing.assert_array_equal(there, here)
 
 
 class FarFirst(SeededScene):

@@ -29,6 +29,7 @@ from rcs.envs.step.judge import FAULT
 from rcs.envs.step.simulation import Simulation
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.setups.make import make, resolve
+from rcs.sim.randomisation import Randomisation
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
 from rcs.spatial import Pose, distance
@@ -148,17 +149,25 @@ class Placer:
         (self.name,) = scene.task.objects()
         """Name of the object."""
 
-    def set_down(self, seed: int, in_tcp: Pose | None, options: Mapping[str, Any] | None = None) -> SetDown:
+    def set_down(
+        self,
+        seed: int,
+        in_tcp: Pose | None,
+        options: Mapping[str, Any] | None = None,
+        *,
+        last_seed: int | None = None,
+    ) -> SetDown:
         """Set the object down at the first pose of a seed that is within reach.
 
         Args:
             seed: Seed of the next episode.
             in_tcp: Pose of the object in the TCP frame; None for that in the simulation.
             options: Options of a reset that moves nothing.
+            last_seed: Seed of the last episode, for a simulation that is to be as it was then; None for devices.
         """
         env, agent = self._env, self._agent
         try:
-            observation, info = env.reset(options=options)
+            observation, info = env.reset(seed=last_seed, options=options)
         except DeviceFault:  # since the last step; who goes home asks what to do
             return SetDown(pose=None, why=FAULT)
         if in_tcp is None:
@@ -198,13 +207,15 @@ class PlacesInSimulation:
 
     def __init__(self, env: Env) -> None:
         """Make a second simulation, in which the placing takes place: nothing there ends an episode."""
-        setup = env.setup
+        setup, ranges = env.setup, env.setup.randomisation
         self._env, self._scene = env, SeededScene(setup)
+        if ranges is not None:  # late actions and distractors are parts of the state
+            ranges = Randomisation.off(action_latency=ranges.action_latency, distractors=ranges.distractors)
         endless = {**setup.task_options, "hold_time": NEVER}
         stepping = "async" if setup.stepping == "realtime" else setup.stepping
         self._apart = make(
             replace(
-                setup, cameras=(), randomisation=None, max_episode_steps=None, task_options=endless, stepping=stepping
+                setup, cameras=(), randomisation=ranges, max_episode_steps=None, task_options=endless, stepping=stepping
             )
         )
         self._placer = Placer(self._apart, self._scene)
@@ -216,7 +227,7 @@ class PlacesInSimulation:
         if not self.is_held:
             return None, by_reset("no success before")
         states = {"state": self._env.simulation.world.states()}
-        found = self._placer.set_down(seed, None, states)
+        found = self._placer.set_down(seed, None, states, last_seed=self._env.np_random_seed)
         if found.pose is None:
             return None, by_reset(str(found.why), found)
         poses = self._apart.simulation.object_poses()
