@@ -68,6 +68,7 @@ def test_json_is_json_and_nothing_else(
         (["--kind", "render"], "--out"),
         (["--render-quality", "full"], "--render-quality has no meaning for --kind check"),
         (["--out", "x"], "--out has no meaning for --kind check"),
+        (["--workers", "2"], "--workers has no meaning for --kind check"),
         (["--kind", "actions", "--out", "x", "--task", "Push"], "--task has no meaning for --kind actions"),
         (["--kind", "render", "--out", "x", "--cameras", "wirst"], "Did you mean 'wrist'"),
         (["--kind", "states", "--out", "x", "--task", "PickCubiod"], "Did you mean 'PickCuboid'"),

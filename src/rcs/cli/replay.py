@@ -62,7 +62,7 @@ class ReplayCommand:
     out: Path | None = None
     """Folder of the new dataset; not for `check`."""
     workers: int = 0
-    """Processes; 0 for one per CPU core."""
+    """Processes; 0 for one per CPU core. Not for `check`."""
     json: bool = False
     """Print JSON instead of a table."""
     trust: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[MODULE ...]")] = ()
@@ -105,7 +105,7 @@ class ReplayCommand:
         chosen = {name: getattr(self, name) for name in OPTIONS["states"]}
         chosen = {name: value for name, value in chosen.items() if value != getattr(ReplayCommand, name)}
         wrong = [*(chosen.keys() - OPTIONS[self.kind]), *(given(self.environment) if self.kind == "check" else ())]
-        wrong += ["out"] if self.kind == "check" and self.out is not None else []
+        wrong += [name for name in ("out", "workers") if self.kind == "check" and getattr(self, name)]
         if wrong:
             names = ", ".join(f"--{name.replace('_', '-')}" for name in wrong)
             raise InvalidSetup(f"{names} has no meaning for --kind {self.kind}; see `rcs data replay --help`.")
