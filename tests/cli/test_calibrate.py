@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,10 +13,11 @@ import pytest
 
 import rcs
 from rcs.calibration import Board
-from rcs.cli.calibrate.session import SessionOptions
+from rcs.cli.calibrate.session import SessionOptions, _ask
 from rcs.cli.main import main
 from rcs.devices.fakes import FakeArm
 from rcs.envs.planner_for import planner_for
+from rcs.errors import Refused
 from rcs.hardware import FakeDriver
 from rcs.robots import FR3, Mount
 from rcs.robots.description import ArmDescription
@@ -138,3 +140,9 @@ def test_ways_are_checked_against_the_other_arms_where_they_are(
     with options.session(options.setup()) as (_, _, look):
         look(strategy)
     np.testing.assert_allclose(given[0], np.array(FR3.home) + 0.2, atol=1e-6)
+
+
+def test_an_input_that_ends_agrees_to_no_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    with pytest.raises(Refused, match="The input has ended"):
+        _ask(np.zeros(7), np.full(7, 0.1))

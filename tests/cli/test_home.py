@@ -84,6 +84,7 @@ def test_all_arms_go_home_when_somebody_agrees(
     [
         ((), "n\n", 1, "nobody agreed"),
         ((), "\n", 1, "nobody agreed"),
+        ((), "", 1, "The input has ended"),
         ((), None, 1, "give --yes"),
         (("--yes", "--speed", "2"), None, 1, "'speed' is 2"),
         (("--yes", "--robot", "ur5e"), None, 1, "'fr3'"),

@@ -13,6 +13,7 @@ from rcs.envs.setup import Setup
 from rcs.envs.step.approach import SPEED
 from rcs.errors import InvalidSetup, Refused
 from rcs.hardware.site import Site
+from rcs.rollout.episode import read_line
 from rcs.setups.lab import lab_of
 from rcs.setups.make import make
 
@@ -52,7 +53,7 @@ class HomeCommand:
         )
 
         def ask(question: str) -> bool:
-            return console.input(f"{question} [y]es, [n]o: ").strip().lower() in ("y", "yes")
+            return read_line(f"{question} [y]es, [n]o: ").strip().lower() in ("y", "yes")
 
         with make(setup, hardware=site) as env:
             home = {name: {"joints": list(env.robots[name].arm.home)} for name in site.arms}

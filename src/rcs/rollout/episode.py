@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
+import termios
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -61,7 +64,8 @@ class EpisodeResult:
     reward: float
     """Sum over the episode."""
     message: str | None = None
-    """The agent's message about a problem, even if the task was done in the end; None without one."""
+    """The agent's message about a problem, even if the task was done in the end, or the reasons of a fault of real
+    devices; None without one."""
     stages: int | None = None
     """Stages of the task that were reached: objects touched, grasped, all done, or as a judge counts; None if nobody
     counted."""
@@ -71,8 +75,10 @@ class EpisodeResult:
     """A judge's words; None without any."""
 
     def outcome(self) -> dict[str, Any]:
-        """Return the outcome to store, besides success and seed."""
-        return {"failure": self.failure, "reward": self.reward}
+        """Return the outcome to store, besides success and seed, with the rest of an answer under a ledger's names."""
+        more = {"stages": self.stages, "tags": list(self.tags) or None, "message": self.words}
+        given = {name: value for name, value in more.items() if value is not None}
+        return {"failure": self.failure, "reward": self.reward, **given}
 
     def corrected(self, answer: Answer) -> EpisodeResult:
         """Return the result with another answer of the judge."""
@@ -192,6 +198,9 @@ def run_episode(
         given = judge(step.observation, step.info)
         answer = given if isinstance(given, Answer) else Answer(success=given)
     success, failure = verdict(end, answer.success, step.was_touched, agent)
+    message = agent.failure_message if has_ended else None
+    if not is_simulated and end == FAULT:
+        message = "; ".join(f"{name}: {reason}" for name, reason in step.info.get("faults", {}).items())
     return EpisodeResult(
         seed=seed,
         steps=step.row,
@@ -199,7 +208,7 @@ def run_episode(
         success=success if is_simulated or end != FAULT else None,
         failure=failure if success is not False else next(iter(answer.tags), failure),
         reward=step.reward,
-        message=agent.failure_message if has_ended else None,
+        message=message,
         stages=answer.stages,
         tags=answer.tags,
         words=answer.words,
@@ -240,11 +249,13 @@ def randomisation_of(env: Env) -> dict[str, Any]:
 
 
 def read_line(question: str) -> str:
-    """Return a line that the person at the terminal answers.
+    """Return a line that the person at the terminal answers; what was typed before the question is no answer to it.
 
     Raises:
         Refused: The input has ended.
     """
+    with contextlib.suppress(OSError, termios.error):  # no terminal, such as a pipe
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
     try:
         return input(question)
     except EOFError as err:

@@ -14,6 +14,7 @@ from rcs_data.files.output import require_writable
 from rcs.devices import lookup
 from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription
+from rcs.rollout.episode import read_line
 from rcs.teleop.calibrate_leader import calibrate_leader
 from rcs.teleop.gello import connect
 from rcs.teleop.leader import LeaderBus, LeaderCalibration
@@ -50,7 +51,7 @@ class LeaderCommand:
         draft, join = self._draft(arm)
 
         def ask(text: str) -> None:
-            console.input(f"{text} ")
+            read_line(f"{text} ")
 
         found = calibrate_leader(draft, arm, join, ask=ask, show=console.print)
         found.write(self.out)

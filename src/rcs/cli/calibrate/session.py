@@ -17,6 +17,7 @@ from rcs.calibration import BoardStrategy, CalibrationStrategy
 from rcs.cli.calibrate.board import BoardOptions
 from rcs.envs.setup import Setup
 from rcs.rollout.calibrate import FreePath, Tour, look_around
+from rcs.rollout.episode import read_line
 from rcs.setups.board_setup import ShowBoardOptions, board_setup
 from rcs.setups.calibration import KnownBoard
 from rcs.setups.mounted_camera import MountedCamera
@@ -112,4 +113,4 @@ def _print_progress(strategy: CalibrationStrategy, is_of_use: bool) -> None:
 def _ask(start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
     turns = ", ".join(f"{turn:+.0f}" for turn in np.rad2deg(end - start))
     question = f"Next pose: joints turn by {turns} degrees. Is the way free? [y]es, [n]ext: "
-    return plain_console().input(question).strip().lower() in ("y", "yes")
+    return read_line(question).strip().lower() in ("y", "yes")
