@@ -15,7 +15,7 @@ import rcs
 from rcs.agents import Agent, agent_for
 from rcs.agents.script import Script
 from rcs.devices.fakes import FakeArm
-from rcs.envs import Action, Observation
+from rcs.envs import Action, Gate, Observation
 from rcs.envs.observer import Note
 from rcs.errors import DeviceFault, InvalidSetup, RcsError, Refused
 from rcs.hardware import FakeDriver, Site
@@ -73,6 +73,20 @@ class Nod(Agent):
     @property
     def is_lost(self) -> bool:
         return len(self.told) - 1 in self.lost_in
+
+
+class FarEnough(Gate):
+    """Ends an episode in the third step of `Nod`; no device is in its fault state then."""
+
+    def admit(self, targets: Mapping[str, Action], measured: Mapping[str, Observation]) -> Mapping[str, Action]:
+        if targets[""]["joints"][5] > HOME[5] + 0.012:
+            refused = Refused("that is far enough")
+            refused.ends_episode = True
+            raise refused
+        return targets
+
+
+STOPPED = dataclasses.replace(SETUP, gates={f"{__name__}:FarEnough": {}})
 
 
 @pytest.fixture(autouse=True)
@@ -194,6 +208,39 @@ def test_a_fault_that_nobody_clears_ends_the_collection_which_goes_on_later(tmp_
     progress = run(plan(tmp_path / "data"))
     assert (progress.found, progress.again, progress.kept) == (1, 1, 2)
     assert [episode.success for episode in Dataset.open(tmp_path / "data").episodes] == [True, False]
+
+
+def test_an_episode_that_a_gate_ends_is_made_again_only_when_the_person_agrees(tmp_path: Path, say) -> None:
+    questions = say("yes", "", "yes", "yes", "", "no")
+    with pytest.raises(DeviceFault, match="that is far enough"):
+        run(plan(tmp_path / "data", setup=STOPPED))
+    assert len(Nod.told) == 2
+    assert ["far enough" in question for question in questions] == [False, False, True, False, False, True]
+    (episode,) = Dataset.open(tmp_path / "data").episodes
+    assert (episode.success, episode.outcome["end"]) == (None, "fault")
+
+
+@pytest.mark.parametrize(("words", "begun"), [("Put the cuboid", 0), ("far enough", 1)])
+def test_an_interruption_before_an_episode_begins_none(
+    words: str, begun: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    progress = Progress()
+
+    def answer(question: str) -> str:
+        progress.is_interrupted |= words in question
+        return "yes"
+
+    monkeypatch.setattr("builtins.input", answer)
+    assert list(collect(plan(tmp_path / "data", setup=STOPPED), progress)) == []
+    assert len(Nod.told) == begun
+
+
+def test_an_answer_is_kept_in_the_outcome_under_the_names_of_a_ledger(tmp_path: Path, say) -> None:
+    say("yes", "", "n 1 #slip #late out of the left finger")
+    run(plan(tmp_path / "data", episodes=1))
+    (episode,) = Dataset.open(tmp_path / "data").episodes
+    answer = {"failure": "slip", "stages": 1, "tags": ["slip", "late"], "message": "out of the left finger"}
+    assert answer.items() <= episode.outcome.items()
 
 
 def test_an_episode_that_nobody_could_judge_does_not_count(tmp_path: Path, say) -> None:

@@ -23,7 +23,6 @@ from rcs.agents import agent_for
 from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.record import recorder_of
-from rcs.envs.observers.recorder import Recorder
 from rcs.envs.step.judge import FAULT
 from rcs.envs.step.stack import for_all
 from rcs.errors import RcsError
@@ -57,7 +56,7 @@ class Collector:
         self._collection = collection
         self._env = env or make(collection.setup)
         self._writer = writer
-        self._recorder = Recorder(writer) if supervisor is None else recorder_of(self._env, writer)
+        self._recorder = recorder_of(self._env, writer)
         self._env.add_observer(self._recorder)
         self._agent = agent_for(self._env, collection.agent)
         speed = collection.home_speed
@@ -65,26 +64,29 @@ class Collector:
         is_carried = self._real is None and is_placed_by_robot(collection.setup)
         self._places = PlacesInSimulation(self._env) if is_carried else None
 
-    def attempt(self, number: int) -> Attempt:
-        """Make one attempt, and keep it if the collection wants it.
+    def prepare(self, number: int) -> None:
+        """Get real arms ready for an attempt, and remove what a fault has left of it.
 
         Raises:
-            DeviceFault: A device failed and stays so; what was recorded until then is kept, without a verdict.
+            DeviceFault: The attempt ended as a fault that is not to be cleared; what was recorded until then is kept,
+                without a verdict.
         """
-        while True:
-            if self._real is not None:
-                self._real.prepare(self._collection.seed_of(number))
-                self._remove_fragment(number)
-            self._recorder.name_next(episode_id(number))
-            with self._recorder.discard_on_error():
-                attempt = self._attempt(number)
-            if self._real is None or attempt.result.failure != FAULT:
-                return attempt
-
-    def _remove_fragment(self, number: int) -> None:
-        """Remove what there is of an attempt in which a device has failed."""
+        if self._real is None:
+            return
+        self._real.prepare(self._collection.seed_of(number))
         if episode_id(number) in Dataset.open(self._writer.path):
             self._writer.remove_episode(episode_id(number))
+
+    def attempt(self, number: int) -> Attempt | None:
+        """Make one attempt, and keep it if the collection wants it.
+
+        Returns:
+            The attempt; None if a fault of real devices has ended it, which does not count.
+        """
+        self._recorder.name_next(episode_id(number))
+        with self._recorder.discard_on_error():
+            attempt = self._attempt(number)
+        return None if self._real is not None and attempt.result.failure == FAULT else attempt
 
     def _attempt(self, number: int) -> Attempt:
         seed = self._collection.seed_of(number)
@@ -129,7 +131,8 @@ def collect(
             the terminal.
 
     Raises:
-        DeviceFault: A real device failed. The episode has no verdict, and is made again when the collection is resumed.
+        DeviceFault: A real device failed, or a gate ended an episode on one, and the supervisor did not agree to go on.
+            The episode has no verdict, and is made again when the collection is resumed.
         Refused: The supervisor does not agree that real arms go home.
         DatasetError: The dataset cannot be written, is locked, or belongs to another setup.
         InvalidSetup: The setup is not valid.
@@ -236,11 +239,23 @@ def _collect_here(
     collector = Collector(collection, writer, env, supervisor)
     try:
         for number in numbers:
-            attempt = collector.attempt(number)
+            if (attempt := _made(collector, number, progress)) is None:
+                return
             _count(attempt, collection, progress)
             yield attempt
     finally:
         collector.close()
+
+
+def _made(collector: Collector, number: int, progress: Progress) -> Attempt | None:
+    """Make an attempt, again after each fault of real devices; None if the collection is interrupted before."""
+    while not progress.is_interrupted:
+        collector.prepare(number)
+        if progress.is_interrupted:  # while somebody placed the objects
+            break
+        if (attempt := collector.attempt(number)) is not None:
+            return attempt
+    return None
 
 
 def _collect_in_pool(

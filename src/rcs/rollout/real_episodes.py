@@ -20,6 +20,7 @@ from rcs.envs.observer import Note
 from rcs.envs.observers.dataset_info import OBJECTS
 from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Action, Observation
 from rcs.envs.step.approach import SPEED
+from rcs.envs.step.judge import FAULT
 from rcs.errors import DeviceFault, Refused
 from rcs.rollout.episode import EpisodeResult, is_open, run_episode
 from rcs.rollout.placing import PLACED, Placer, Poses, SeededScene, SetDown, by_reset, is_placed_by_robot, judged
@@ -52,6 +53,8 @@ class RealEpisodes:
         self._agent = _Informed(agent, holding)
         self._objects: Poses = {}
         self._placed: dict[str, Any] = {}
+        self._fault: DeviceFault | None = None
+        """What ended the last episode as a fault; a gate that stopped it leaves no device in its fault state."""
 
     @property
     def outcome(self) -> dict[str, Any]:
@@ -64,7 +67,8 @@ class RealEpisodes:
 
         Raises:
             Refused: The supervisor does not agree that the arms move.
-            DeviceFault: A device is in its fault state, and the supervisor does not agree to clear it.
+            DeviceFault: A device is in its fault state, or the last episode ended as a fault, and the supervisor does
+                not agree to clear it.
         """
         found = self._set_down(seed)
         self._go_home(seed)
@@ -78,6 +82,8 @@ class RealEpisodes:
         """Make the episode that was prepared."""
         result = run_episode(self._env, self._agent, seed=seed, judge=self._supervisor.judge)
         self._is_held = result.success is True
+        is_fault = result.failure == FAULT
+        self._fault = DeviceFault(f"The episode ended as a fault: {result.message}.") if is_fault else None
         return result
 
     def _set_down(self, seed: int) -> SetDown | None:
@@ -111,14 +117,17 @@ class RealEpisodes:
                 home[name][GRIPPER] = np.ones(1)
         robot = home if len(home) > 1 else next(iter(home.values()))
         options = {"robot": robot, "may_move": self._supervisor.may_move, "speed": self._speed}
+        fault, self._fault = self._fault, None
         while True:
+            if fault is not None:
+                if not self._supervisor.may_recover(str(fault)):
+                    raise fault
+                self._env.recover()
             try:
                 self._env.reset(seed=seed, options=options)
                 return
             except DeviceFault as err:
-                if not self._supervisor.may_recover(str(err)):
-                    raise
-                self._env.recover()
+                fault = err
 
     def close(self) -> None:
         """Close the simulated scene."""

@@ -52,7 +52,7 @@ class Supervisor(ABC):
 
     @abstractmethod
     def may_recover(self, faults: str) -> bool:
-        """Return whether devices may leave their fault state, and the episode be made again."""
+        """Return whether the episode that a fault has ended may be made again, and devices leave their fault state."""
 
 
 class TerminalSupervisor(Supervisor):
