@@ -82,7 +82,7 @@ def test_no_name_is_anywhere_before_it_is_revealed_and_no_answer_is_lost(
     out = tmp_path / "out"
     # The third answer is corrected after the fourth episode, in which it is interrupted; the last one at the end.
     answers = itertools.chain(
-        ["y", "n 1 #slip", "y"], ["u", "n", None], ["y", "y", "n", "y", "y"], ["u", "? #dark", ""]
+        ["", "y", "n 1 #slip", "y"], ["u", "n", None], ["", "y", "y", "n", "y", "y"], ["u", "? #dark", ""]
     )
 
     def answer(_: str = "") -> str:
@@ -137,7 +137,7 @@ def test_no_name_is_anywhere_before_it_is_revealed_and_no_answer_is_lost(
 def test_recordings_have_the_keys_of_the_letters_and_no_name(
     call: Any, addresses: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, data, answers = tmp_path / "out", tmp_path / "data", iter(["y", "n", "?", "y"])
+    out, data, answers = tmp_path / "out", tmp_path / "data", iter(["", "y", "n", "?", "y"])
     monkeypatch.setattr("builtins.input", lambda _="": next(answers))
     words = (
         "run", "--policy", addresses[0], "--blind", addresses[1], "--hardware", "fake", "--judge", "--task", "Free",

@@ -151,7 +151,7 @@ def test_real_episodes_follow_the_simulated_ones_of_each_checkpoint(
 ) -> None:
     program, out = tmp_path / "stay.py", tmp_path / "out"
     program.write_text(textwrap.dedent(STAY))
-    answers = iter(["y", "n", "", "n", "u", "y", "?", ""])
+    answers = iter(["", "y", "n", "", "", "n", "u", "y", "?", ""])
     monkeypatch.setattr("builtins.input", lambda _="": next(answers))
     words = (
         str(trained), "--serve", f"{sys.executable} {program} {{checkpoint}} {{port}}", "--task", "Free",

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from rcs_data.ledger import Condition, Ledger
 
+import rcs
 from rcs.agents.identity import Identity
-from rcs.rollout.blind import LETTERS, _blinded
+from rcs.rollout import Evaluation, Outlines, PersonJudge, Summary
+from rcs.rollout.blind import LETTERS, _blinded, evaluate_blind
+from tests.rollout.staying import SETUP, Stay
 
 
 def two(*names: str) -> tuple[list[Condition], list[Identity]]:
@@ -38,3 +42,20 @@ def test_a_start_that_was_cut_off_between_the_two_letters_is_not_gone_on_with(tm
         _, lost = _blinded(ledger, *two("a", "b"))
         next(path for path in (tmp_path / "conditions").iterdir() if path.stem == lost.hash).unlink()
         assert sorted(one.agent for one in _blinded(ledger, *two("a", "b"))) == list(LETTERS)
+
+
+class Remain(Stay):
+    """Does the same under another name."""
+
+
+def test_an_interruption_while_objects_are_put_in_their_places_begins_no_episode(tmp_path: Path) -> None:
+    summary = Summary()
+
+    def interrupt(question: str, observation: Any, seed: int | None) -> str:
+        summary.is_interrupted = True
+        return ""
+
+    one, other = (Evaluation(setup=SETUP, agent=agent, episodes=1, out=tmp_path) for agent in (Stay, Remain))
+    with rcs.make(SETUP) as env, Outlines(SETUP) as outlines:
+        judge = PersonJudge(interrupt, outlines=outlines)
+        assert list(evaluate_blind((one, other), summary, env, judge=judge)) == []

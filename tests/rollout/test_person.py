@@ -119,3 +119,37 @@ def test_an_input_that_stays_no_text_is_given_up(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("builtins.input", answer)
     with pytest.raises(Refused, match="no text"):
         ask_at_terminal("Done?", {}, None)
+
+
+def test_an_episode_after_a_fault_waits_until_its_objects_are_in_their_places() -> None:
+    script = Script("", "y", "", "")
+    with rcs.make(SETUP) as env, Outlines(SETUP) as outlines:
+        judge = PersonJudge(script, outlines=outlines)
+        judge.announce(env, 1, 2)
+        judge({}, {})
+        judge.announce(env, 2, 3)  # begun by the answer; it ends in a fault, and nobody is asked how it went
+        judge.announce(env, 3, None)
+        judge.announce(env, 4, None)
+    assert [seed for _, seed in script.asked] == [1, 2, 3, 4]
+    assert ["Then press Enter" in question for question, _ in script.asked] == [True, False, True, True]
+
+
+@pytest.mark.parametrize(("hardware", "asked"), [("fake", 1), (None, 0)])
+def test_without_objects_real_arms_wait_for_somebody_and_simulated_ones_do_not(hardware: Any, asked: int) -> None:
+    script = Script("")
+    with rcs.make("Free", hardware=hardware) as env:
+        PersonJudge(script).announce(env, 0, None)
+    assert len(script.asked) == asked
+
+
+def test_an_interruption_while_objects_are_put_in_their_places_begins_no_episode() -> None:
+    summary = Summary()
+
+    def interrupt(question: str, observation: Any, seed: int | None) -> str:
+        summary.is_interrupted = True
+        return ""
+
+    evaluation = Evaluation(setup=SETUP, agent=Stay, episodes=1)
+    with Outlines(SETUP) as outlines:
+        judge = PersonJudge(interrupt, outlines=outlines)
+        assert list(evaluate(evaluation, summary, env=rcs.make(SETUP), judge=judge)) == []

@@ -103,6 +103,8 @@ def evaluate_blind(
                     later = (one for one, other in turns[place + 1 :] if books[other].row_of(one) is None)
                     coming, seed_of = next(later, None), evaluations[0].seed_of
                     judge.announce(env, seed_of(number), None if coming is None else seed_of(coming))
+                    if summary.is_interrupted:  # while somebody prepared the episode
+                        return
                 try:
                     attempt = evaluators[which].attempt(number)
                 except RcsError as err:

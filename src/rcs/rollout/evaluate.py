@@ -165,7 +165,7 @@ def evaluate(
             book.take(summary)
         numbers = _numbers(evaluation, summary) if book is None else book.missing(summary)
         if isinstance(judge, PersonJudge):
-            numbers = _announced(evaluation, numbers, judge, book, env)
+            numbers = _announced(evaluation, summary, numbers, judge, book, env)
         is_here = (evaluation.workers == 1 and evaluation.ray is None) or env is not None or judge is not None
         if maker is not None:
             making = maker(evaluation, numbers)
@@ -255,7 +255,12 @@ def _logbook(evaluation: Evaluation, summary: Summary, env: Env | None, judge: J
 
 
 def _announced(
-    evaluation: Evaluation, numbers: Iterator[int], judge: PersonJudge, book: Logbook | None, env: Env | None
+    evaluation: Evaluation,
+    summary: Summary,
+    numbers: Iterator[int],
+    judge: PersonJudge,
+    book: Logbook | None,
+    env: Env | None,
 ) -> Iterator[int]:
     """Yield numbers, and have a person know which episode is to be prepared while the one before is judged."""
     for number in numbers:
@@ -263,6 +268,8 @@ def _announced(
         coming = next(later, None)
         after = None if coming is None else evaluation.seed_of(coming)
         judge.announce(env, evaluation.seed_of(number), after)
+        if summary.is_interrupted:  # while somebody prepared the episode
+            return
         yield number
 
 

@@ -60,7 +60,10 @@ def answer_in(line: str) -> Answer | None:
 
 
 class PersonJudge:
-    """A judge whom a person answers. The next episode begins with the answer, so its objects are prepared before."""
+    """A judge whom a person answers. The next episode begins with the answer, so its objects are prepared before.
+
+    The first one, and one before which nobody was asked, as after a fault, begins when the person says so.
+    """
 
     def __init__(self, ask: Asker = ask_at_terminal, *, outlines: Outlines | None = None, can_undo: bool = True):
         """Prepare; nothing is asked yet.
@@ -72,25 +75,34 @@ class PersonJudge:
         """
         self._ask, self._outlines, self._can_undo = ask, outlines, can_undo
         self._correct: Callable[[Answer], None] | None = None
-        self._has_begun, self._coming, self._seen = False, None, {}
+        self._coming: int | None = None
+        self._prepared: int | None = None
+        """Seed of the episode that an answer has begun; None if nobody has answered since the last one began."""
+        self._seen: Observation = {}
         self._is_answered = False
         """Whether the present episode has an answer: nobody is asked about one that a fault ended."""
 
     def announce(self, env: Env | None, seed: int, coming: int | None) -> None:
-        """Get ready for an episode; before the first one, wait until its objects are in their places.
+        """Get ready for an episode; one that no answer has begun waits until its objects are in their places.
+
+        With real devices it waits where there are no objects, too, because it moves them.
 
         Args:
-            env: The environment, whose pictures show where the objects go; None to leave the first ones alone.
+            env: The environment, whose pictures show where the objects go; None to wait for nobody.
             seed: Seed of the episode.
             coming: Seed of the one after it, whose objects are to be prepared while it is judged; None after the last.
 
         Raises:
             Refused: The input has ended.
+            DeviceFault: A device is in its fault state.
         """
-        if not self._has_begun and env is not None and (places := self._places(seed)):
-            observation, _ = env.reset(seed=seed)  # connects devices; nothing moves
-            self._ask(f"Put {places}. Then press Enter, or Go on", observation, seed)
-        self._has_begun, self._coming = True, coming
+        if env is not None and seed != self._prepared:
+            places, is_real = self._places(seed), set(env.platform.values()) != {"simulation"}
+            if places or is_real:
+                observation, _ = env.reset(seed=seed)  # connects devices; nothing moves
+                wanted = f"Put {places}. Then press" if places else "The next episode begins when you press"
+                self._ask(f"{wanted} Enter, or Go on", observation, seed)
+        self._prepared, self._coming = None, coming
 
     def __call__(self, observation: Observation, info: Mapping[str, Any]) -> Answer:
         """Ask how an episode went, after the answer before, where that is taken back.
@@ -109,7 +121,7 @@ class PersonJudge:
                 self._take_back()
                 notice = "Now the present one. "
             elif (answer := answer_in(line)) is not None:
-                self._is_answered = True
+                self._is_answered, self._prepared = True, self._coming
                 return answer
             else:
                 notice = f"{line.strip()!r} is no answer. " if line.strip() else ""
