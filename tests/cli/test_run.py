@@ -189,3 +189,5 @@ def test_a_policy_is_run_in_the_simulator_of_another_project(
         assert "Give a task" in capsys.readouterr().err
         assert rcs(*command, "--out", str(out), "--robot", "so101", "--real-time") == 1
         assert "robot, real_time cannot be combined with simulator" in capsys.readouterr().err
+        assert rcs(*command, "--out", str(out), "--task", "Push") == 1
+        assert "task cannot be combined with simulator" in capsys.readouterr().err

@@ -16,6 +16,7 @@ from rcs_data.ledger import Ledger
 
 import rcs
 from rcs.cli.main import main
+from rcs.cli.run import RunCommand
 from rcs.devices.fakes import FakeArm
 
 SERVE = """
@@ -79,7 +80,7 @@ def test_a_policy_moves_the_devices_of_a_site_and_a_person_judges(
 ) -> None:
     site = tmp_path / "site.json"
     rcs.Site(arms={"fr3": "fake:a"}, grippers={"fr3": "fake:a"}).write(site)
-    answers = iter(["y", "n", "?"])
+    answers = iter(["", "y", "n", "?"])
     stays: list[bool] = []
 
     def answer(_: str = "") -> str:
@@ -99,7 +100,7 @@ def test_a_policy_moves_the_devices_of_a_site_and_a_person_judges(
     assert [episode.success for episode in episodes] == [True, False, None]
     joints = np.asarray(episodes[0].column("observation/joints"))
     assert np.abs(joints[-1] - joints[0]).max() > 0.02
-    assert stays == [True] * 3, "with a recording, nothing is asked at the end"
+    assert stays == [True] * 4, "with a recording, nothing is asked at the end"
     assert len({id(arm) for arm in arms}) == 1
     assert not arms[0].is_open
 
@@ -170,3 +171,11 @@ def test_what_makes_no_sense_on_devices_is_refused_before_any_is_opened(
         assert run(*words) == 1
         assert told in capsys.readouterr().err
     assert not arms
+
+
+def test_episodes_on_devices_are_recorded_beside_the_loop_and_old_frames_are_flagged(tmp_path: Path) -> None:
+    site = rcs.Site(arms={"fr3": "fake:a"}, grippers={"fr3": "fake:a"}, cameras={"wrist": "fake:b"}, stale_after=0.3)
+    command = RunCommand(policy="vla://here", record=tmp_path / "data")
+    with rcs.make("Free", cameras=("wrist",), hardware=site) as env, command._recorder(env) as recorder:
+        assert recorder is not None
+        assert (recorder._is_background, recorder._stale_after) == (True, 0.3)

@@ -23,6 +23,7 @@ from rcs.cli.setup_options import SetupOptions
 from rcs.cli.simulator_options import SimulatorOptions
 from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.record import recorder_of
 from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
@@ -65,7 +66,7 @@ class RunCommand(SetupOptions):
     agent: tyro.conf.Suppress[None] = None  # pyright: ignore[reportIncompatibleVariableOverride]
     """The policy acts."""
     task: str = "PickCuboid"  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
-    """Name of the task, such as PickCuboid, or `module:Class`."""
+    """Name of the task, such as PickCuboid, or `module:Class`. None with `--simulator`."""
     episodes: int = 20
     """Number of episodes."""
     instruction: str | None = None
@@ -85,8 +86,9 @@ class RunCommand(SetupOptions):
     """Address of another policy, to compare the two blindly: both act on each seed, in a drawn order, and nothing on
     screen says which. In files and on pages they are X and Y until `rcs unblind`."""
     judge: bool = False
-    """Ask at the terminal after each episode whether the task was done. The next one begins with the answer; the last
-    answer can be taken back, except with `--record`."""
+    """Ask at the terminal after each episode whether the task was done. The next one begins with the answer; on devices
+    the first one, and one after a fault, begins with Enter. The last answer can be taken back, except with
+    `--record`."""
     page: str | None = None
     """Ask on a page in the browser instead, at `HOST:PORT`, such as `127.0.0.1:8080`, which shows the pictures of the
     cameras, and in them where the objects of the next episode go; `0.0.0.0:8080` lets other machines in, over TLS and
@@ -105,7 +107,7 @@ class RunCommand(SetupOptions):
         if self.blind is not None:
             return self._compare_blindly(self.blind, served, ledger, console)
         real = [name for name in ("hardware", "real_time") if getattr(self, name)]
-        simulator = self.simulation.foreign([*self.given, *real])
+        simulator = self.simulation.foreign([*self.given, *["task"] * (self.task != RunCommand.task), *real])
         foreign = None if simulator is None else ForeignEnv(simulator)
         evaluation = Evaluation(
             setup=fitted_setup(self, metadata, "realtime" if self.real_time else None)
@@ -176,7 +178,7 @@ class RunCommand(SetupOptions):
             return
         info = dataset_info(env, instruction=self.instruction, notes=NOTES)
         with DatasetWriter.open(self.record, replace(info, origin={**info.origin, **origin}), resume=True) as writer:
-            recorder = Recorder(writer)
+            recorder = recorder_of(env, writer)
             env.add_observer(recorder)
             yield recorder
 
