@@ -178,6 +178,20 @@ class SafetyContract:
             env.reset(seed=3)
             env.step(stay(env, lift(env)))
 
+    def test_a_reset_that_an_observer_breaks_off_is_no_start(self) -> None:
+        """All devices hold, observers are told, and no step can be made before another reset."""
+        with self.env() as env:
+            breaks = self.set_in_motion(env)
+            breaks.where = "on_reset of an observer"
+            with pytest.raises(Broken):
+                env.reset(seed=2)
+            self.require_that_all_stand_still(env)
+            assert breaks.ends == [("exception", {"Broken": "broken on purpose"})]
+            with pytest.raises(WrongOrder, match="Broken"):
+                env.step(go(env, lift(env)))
+            env.reset(seed=3)
+            env.step(stay(env, lift(env)))
+
     def test_a_second_ctrl_c_does_not_keep_a_device_from_holding(self) -> None:
         """It comes while the devices are told to hold, in each of them."""
         with self.env() as env:

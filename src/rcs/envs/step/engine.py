@@ -109,16 +109,16 @@ class Engine:
             if self.simulation is not None:
                 info = self.simulation.judge_start(copies)
             self._judge.note()
+            self._must_rebase = False
+            self.is_started, self._broken_off_by = True, ""
+            info.update(time=self._judge.time(), instruction=np.full(self.leading, self.instruction, object))
+            if again := self.stack.reconnections():
+                info["reconnections"] = again  # those so far, which are not of this episode
+            info = info if self.leading else row(info, ...)
+            self.observers.on_reset(observation, info, self._seeds_of(copies))
         except BaseException as err:
-            self._break_off(err)
+            self._break_off(err, is_start=True)
             raise
-        self._must_rebase = False
-        self.is_started, self._broken_off_by = True, ""
-        info.update(time=self._judge.time(), instruction=np.full(self.leading, self.instruction, object))
-        if again := self.stack.reconnections():
-            info["reconnections"] = again  # those so far, which are not of this episode
-        info = info if self.leading else row(info, ...)
-        self.observers.on_reset(observation, info, self._seeds_of(copies))
         return observation, info
 
     def _approach(self, approach: Approaches) -> None:
@@ -329,12 +329,12 @@ class Engine:
             observation=observation, reward=np.zeros(()), terminated=np.False_, truncated=np.True_, info=info
         )  # fmt: skip
 
-    def _break_off(self, error: BaseException) -> None:
-        """Have all devices hold after an error, end the episodes, and notify the observers."""
+    def _break_off(self, error: BaseException, *, is_start: bool = False) -> None:
+        """Have all devices hold after an error in a step or a start, end the episodes, and notify the observers."""
         self._must_rebase = True
         calls: list[Callable[[], None]] = [self.stack.hold]
-        # A device that refuses an action is no reason to end the episode: the next one may be better.
-        if not isinstance(error, InvalidAction) and self.is_started and not self._broken_off_by:
+        # A device that refuses the action of a step is no reason to end the episode: the next one may be better.
+        if (is_start or not isinstance(error, InvalidAction)) and self.is_started and not self._broken_off_by:
             if not self.is_over.all():
                 calls.append(lambda: self.observers.on_end("exception", {type(error).__name__: str(error)}))
             self.is_started = False
