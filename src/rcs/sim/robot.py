@@ -222,6 +222,12 @@ class SimRobot:
             raise InvalidSetup(f"Robot {self.placement.name!r} has no gripper.")
         self.world.ctrl[..., self.layout.finger_ctrl] = self._closed + opening * self._span
 
+    @property
+    def opening_target(self) -> NDArray[np.float32]:
+        """Target of the gripper's opening, 0 closed … 1 open, (*leading, 1), a fresh array."""
+        target = (self.world.ctrl[..., self.layout.finger_ctrl] - self._closed) / self._span
+        return np.clip(target, 0.0, 1.0).astype(np.float32)
+
     def go_home(self) -> None:
         """Put every copy at the home pose with open fingers, at rest, by writing the state (no motion)."""
         self._place(np.array(self.placement.arm.home))

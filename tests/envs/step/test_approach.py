@@ -14,7 +14,7 @@ import rcs
 from rcs.devices import ArmLimits
 from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.envs.env import Env
-from rcs.errors import DeviceFault, InvalidSetup, Refused, WrongOrder
+from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, Refused, WrongOrder
 from rcs.hardware import Site
 from rcs.robots.fr3 import FR3
 
@@ -34,8 +34,21 @@ class TracedArm(FakeArm):
         super()._command_joints(joints)
 
 
-def make(arm: FakeArm, **options: Any) -> Env:
-    site = Site(arms={"fr3": arm}, grippers={"fr3": FakeGripper(speed=5.0)}, arm_stale_after=60.0, stale_after=60.0)
+class Holding(FakeGripper):
+    """Has something between its open fingers, and remembers what it was sent."""
+
+    def __init__(self) -> None:
+        super().__init__(speed=0.0)
+        self.sent: list[float] = []
+
+    def _command_opening(self, opening: float, force: float | None) -> None:
+        self.sent.append(opening)
+        super()._command_opening(opening, force)
+
+
+def make(arm: FakeArm, gripper: FakeGripper | None = None, **options: Any) -> Env:
+    grippers = {"fr3": gripper or FakeGripper(speed=5.0)}
+    site = Site(arms={"fr3": arm}, grippers=grippers, arm_stale_after=60.0, stale_after=60.0)
     return rcs.make("Free", hardware=site, frequency=50.0, **options)
 
 
@@ -109,6 +122,48 @@ def test_who_is_found_outside_of_its_range_stays_there_while_another_arm_goes() 
         env.reset(options={"robot": {"right": way}, "may_move": True, "speed": 0.5})
         np.testing.assert_allclose(right.body.values, HOME, atol=1e-6)
     assert np.abs(np.diff([joints for _, joints in right.sent], axis=0)).max() < 0.03
+
+
+def test_a_gripper_keeps_hold_on_the_way_of_what_was_put_in_it() -> None:
+    gripper = Holding()
+    with make(TracedArm(), gripper) as env:
+        env.reset(seed=0)
+        env.step({"joints": np.zeros(7), "gripper": np.zeros(1)})
+        env.hold()
+        observation, _ = env.reset(options={"robot": {"joints": HOME}, "may_move": True})
+        assert observation["gripper"] == 1.0
+    assert len(gripper.sent) > 10
+    assert set(gripper.sent) == {0.0}
+
+
+def test_an_arm_that_sags_is_not_waited_for_at_every_point_of_its_way() -> None:
+    arm, asked = TracedArm(), list[int]()
+
+    def has_arrived() -> bool:
+        asked.append(len(arm.sent))
+        return False
+
+    arm._has_arrived = has_arrived  # pyright: ignore[reportAttributeAccessIssue]
+    with make(arm, stepping="sync", sync_time_limit=0.05) as env:
+        env.reset(options={"robot": {"joints": HOME}, "may_move": True})
+        assert len(arm.sent) > 10
+        assert not asked
+
+
+def test_a_way_that_a_device_refuses_is_no_start() -> None:
+    arm = TracedArm()
+    with make(arm) as env:
+        env.reset(seed=0)
+
+        def refuse(joints: np.ndarray) -> None:
+            raise InvalidAction("too far away")
+
+        arm._command_joints = refuse  # pyright: ignore[reportAttributeAccessIssue]
+        with pytest.raises(InvalidAction, match="too far away"):
+            env.reset(options={"robot": THERE, "may_move": True})
+        del arm._command_joints
+        with pytest.raises(WrongOrder, match="InvalidAction"):
+            env.step({"joints": np.zeros(7), "gripper": np.zeros(1)})
 
 
 def test_a_fault_on_the_way_stops_all_arms_and_is_told() -> None:

@@ -83,6 +83,12 @@ def test_a_synchronous_step_tells_the_targets_again_once_per_period(clock) -> No
     np.testing.assert_allclose(moments, 100.1 + 0.1 * np.arange(9), atol=2e-3)
 
 
+def test_a_tick_lasts_a_period_though_steps_wait_for_devices(clock) -> None:
+    wall = Clock(ports=[Lift(clock, 1e9)], frequency=10.0, is_synchronous=True, now=clock, sleep=clock.sleep)
+    wall.tick()
+    assert clock.now == pytest.approx(100.1, abs=1e-9)
+
+
 @pytest.mark.parametrize(
     "numbers", [{"frequency": 0.0}, {"frequency": -1.0}, {"frequency": float("nan")}, {"time_limit": 0.0}]
 )

@@ -186,6 +186,24 @@ def test_layers_learn_what_a_gate_has_cut() -> None:
     np.testing.assert_allclose(info["target"]["joints"], start["joints"] + step / 2, atol=1e-12)
 
 
+@pytest.mark.parametrize("hardware", [None, "fake"])
+def test_a_gripper_keeps_its_last_target_when_a_gate_refuses_another(hardware: str | None) -> None:
+    gate = Closed()
+    gate.is_closed = False
+    closing = {"joints": np.zeros(7), "gripper": np.zeros(1)}
+    with rcs.make("Free", gates=[gate], hardware=hardware) as env:
+        env.reset(seed=0)
+        env.step(closing)
+        gate.is_closed = True
+        observation, *_, info = env.step({**closing, "gripper": np.ones(1)})
+        assert observation["gripper"] > 0.0, "it is on its way"
+        assert info["target"]["gripper"] == env.stack.executed["gripper"] == 0.0
+        if hardware is None:  # an episode begins with open fingers
+            env.reset()
+            *_, info = env.step(closing)
+            assert info["target"]["gripper"] == 1.0
+
+
 @pytest.mark.parametrize("layer", [Loud, Loud(), f"{__name__}:Loud"])
 def test_own_layers_are_given_as_objects_classes_or_names(layer: Any) -> None:
     env = rcs.make("Free", layers=[layer])

@@ -115,6 +115,10 @@ class Port(ABC):
             if not self.device.fault:
                 raise
 
+    def kept(self) -> Arrays:
+        """Return the targets that the device keeps while it holds, by key: what is between fingers must not fall."""
+        return {}
+
     def rebase(self) -> None:  # noqa: B027  most have nothing to do
         """Make the device go on from where it is measured, if it still has a target elsewhere; a real one has none."""
 
@@ -313,10 +317,16 @@ class EffectorPort(Port):
         self.observation_spaces = {key: keys.normalised_space(count)}
         self._calls = DeviceCalls(device, device.state, self._send, valid_for=valid_for, slow_after=slow_after)
         self._freshness = Freshness(device, stale_after)
+        self._kept: Arrays = {}
 
     def command(self, action: Arrays) -> None:
         """Send the target, or have it sent as soon as a slow device is free."""
         self._calls.send(action[self._key])
+        self._kept = {self._key: action[self._key]}
+
+    def kept(self) -> Arrays:
+        """Return the last target; nothing before the first."""
+        return self._kept
 
     def observe(self) -> Observation:
         """Return what is measured, or of a slow device what was measured last."""

@@ -66,6 +66,10 @@ class SimEffectorPort(Port):
         if self._is_hand:
             self._robot.command_hand(self._robot.hand_joints)
 
+    def kept(self) -> Arrays:
+        """Return the target of a gripper."""
+        return {} if self._is_hand else {keys.GRIPPER: self._robot.opening_target}
+
     def observe(self) -> Observation:
         """Read the opening, or the joints."""
         robot = self._robot

@@ -109,7 +109,7 @@ class Approach:
             if is_held():
                 stack.hold()  # anew: it may have been said before the targets were sent
                 raise Refused("The arms were told to hold on their way, and stay where they are.")
-            clock.advance()
+            clock.tick()
             end = stack.measure()
             if faults := stack.faults():
                 listed = "; ".join(f"{name}: {why}" for name, why in faults.items())
@@ -164,7 +164,7 @@ class Approach:
         for _ in range(math.ceil(RESTING * clock.frequency)):
             if all(port.has_arrived() for port in arms):
                 return
-            clock.advance()
+            clock.tick()
 
     def _duration(self, ways: Sequence[_Way]) -> float:
         """Return how long the longest way takes [s]; all robots arrive together."""
@@ -196,7 +196,7 @@ class _Way:
 
 
 def _stay(stack: Stack) -> Nested:
-    """Return targets with which all robots stay where they are measured: an arm also outside of its range."""
+    """Return targets with which all robots stay as they are: an arm also outside of its range."""
     stay: Nested = {}
     for name, own in stack.at_rest().items():
         boxes = stack.chains[name].executed_spaces

@@ -109,11 +109,17 @@ class Chain:
         return (self._check_joints if has_joints else self._check_executed)(action, *places)
 
     def at_rest(self, measured: Observation) -> Action:
-        """Return the targets of the lowest level with which all devices stay where they are measured."""
-        return {
+        """Return the targets of the lowest level with which all devices stay as they are.
+
+        Arms stay where they are measured, and grippers keep their last target: what they hold would fall otherwise.
+        """
+        targets: Action = {
             key: np.zeros(box.shape, box.dtype) if key == TWIST else np.asarray(measured[key], box.dtype)
             for key, box in self.executed_spaces.items()
         }
+        for port in self.ports:
+            targets.update(port.kept())
+        return targets
 
     def measure(self) -> Observation:
         """Return the observation of the lowest level."""

@@ -103,11 +103,16 @@ class Clock:
             repeat: Tells all devices their targets again; a synchronous step calls it once per period until they have
                 arrived. None for nothing.
         """
-        if self._world is not None:
-            self._world.advance(copies)
         if self._waits_for_devices:
             self.ends[0] = self._wait_for_devices(repeat)
-        elif self.is_real:
+        else:
+            self.tick(copies)
+
+    def tick(self, copies: Copies = None) -> None:
+        """Let one control period pass, of some copies or of all; a synchronous step of devices lasts longer."""
+        if self._world is not None:
+            self._world.advance(copies)
+        if self.is_real:
             self._wait_for_tick()
 
     def _wait_for_tick(self) -> None:

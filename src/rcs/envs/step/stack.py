@@ -189,13 +189,13 @@ class Stack:
                 port.command(targets[name])
 
     def stay(self) -> None:
-        """Hold all devices, and have the layers take the measured state for the targets of the last action."""
+        """Hold all devices, and have the layers take what they then do for the targets of the last action."""
         self.hold()
         self._executed = self.at_rest()
         self._target = {name: chain.map_executed(self._executed[name]) for name, chain in self.chains.items()}
 
     def at_rest(self) -> Nested:
-        """Return the targets with which all devices stay where they are measured now."""
+        """Return the targets with which arms stay where they are measured now, and grippers keep their last one."""
         measured = self.measure_devices()
         return {name: chain.at_rest(measured[name]) for name, chain in self.chains.items()}
 
