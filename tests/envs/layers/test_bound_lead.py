@@ -73,6 +73,9 @@ def test_copies_act_like_single_environments() -> None:
         np.testing.assert_array_equal(many["tquat"][1], one["tquat"])
 
 
-def test_it_says_which_control_it_needs() -> None:
-    with pytest.raises(InvalidSetup, match="xyzrpy"):
-        rcs.make("Free", control="joints", layers=[BoundLead])
+@pytest.mark.parametrize(
+    "options", [{"control": "joints"}, *({"control": "xyzrpy", "relative": to} for to in ("absolute", "origin"))]
+)
+def test_it_says_which_control_it_needs(options: Any) -> None:
+    with pytest.raises(InvalidSetup, match="needs control='xyzrpy' and relative='last_step'"):
+        rcs.make("Free", layers=[BoundLead], **options)

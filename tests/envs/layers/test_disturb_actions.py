@@ -81,8 +81,9 @@ def test_what_is_recorded_as_the_action_is_what_the_agent_wanted() -> None:
     assert np.abs(np.diff(done, axis=0) - 0.01).max() > 0.005
 
 
-def test_absolute_actions_are_refused() -> None:
-    with pytest.raises(InvalidSetup, match="needs relative actions"):
-        rcs.make(**{**OPTIONS, "relative": False})
+def test_actions_that_are_not_relative_to_the_last_step_are_refused() -> None:
+    for relative in ("absolute", "origin"):
+        with pytest.raises(InvalidSetup, match="give relative='last_step'"):
+            rcs.make(**{**OPTIONS, "relative": relative})
     with pytest.raises(InvalidSetup, match="DisturbActions adds noise to joints"):
         rcs.make(**{**OPTIONS, "control": "tquat"})

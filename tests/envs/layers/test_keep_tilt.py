@@ -87,6 +87,9 @@ def test_an_arm_with_five_joints_does_not_lean_more_and_more() -> None:
     assert tilt(play(env, np.zeros(4), 8)["tquat"]) < 0.05
 
 
-def test_it_says_which_control_it_needs() -> None:
-    with pytest.raises(InvalidSetup, match="xyzrpy"):
-        rcs.make("Free", control="joints", layers=[KeepTilt])
+@pytest.mark.parametrize(
+    "options", [{"control": "joints"}, *({"control": "xyzrpy", "relative": to} for to in ("absolute", "origin"))]
+)
+def test_it_says_which_control_it_needs(options: Any) -> None:
+    with pytest.raises(InvalidSetup, match="needs control='xyzrpy' and relative='last_step'"):
+        rcs.make("Free", layers=[KeepTilt], **options)

@@ -22,7 +22,7 @@ class BoundLead(Layer):
     An action in the other direction starts from where the arm is, or as far ahead as its motion accounts for. A free
     arm starts a little later. One that presses on a table comes up with the first action that says so. Otherwise the
     target would sink in by what `LimitStep` allows, 30 cm and more, and nothing would happen for as many steps up
-    again, which learners that act by chance never make. Put it on relative `xyzrpy` control.
+    again, which learners that act by chance never make. Put it on `xyzrpy` relative to the last step.
     """
 
     memory = ("_last", "_measured", "_before")
@@ -38,7 +38,7 @@ class BoundLead(Layer):
         """Return those of the level below.
 
         Raises:
-            InvalidSetup: It takes no `xyzrpy`.
+            InvalidSetup: It takes no `xyzrpy` relative to the last step.
         """
         require_xyzrpy(self, inner)
         self._bound = inner[XYZRPY].high

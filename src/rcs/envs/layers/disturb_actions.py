@@ -27,7 +27,7 @@ STRETCH, DISTURBED = 8, 0.6
 
 
 class DisturbActions(Layer):
-    """Add noise to an arm's relative actions, so that an agent has to correct itself.
+    """Add noise to an arm's actions relative to the last step, so that an agent has to correct itself.
 
     A recording above has what the agent wanted as the action, and what was done as `executed`; a policy that learns the
     former knows how to come back from states that the agent alone never gets into (DART: Laskey et al. 2017,
@@ -62,12 +62,15 @@ class DisturbActions(Layer):
         """Look how far joints can go; the observations are those of the level below.
 
         Raises:
-            InvalidSetup: The actions are absolute.
+            InvalidSetup: The actions are absolute, or relative to an origin.
         """
         joints: Any = inner[JOINTS]
         farthest = 0.5 * (joints.high - joints.low) if self._key == JOINTS else MOST
         if (self._bound >= farthest).any():
-            raise InvalidSetup("DisturbActions needs relative actions; the setup has relative='absolute'.")
+            raise InvalidSetup(
+                "DisturbActions adds noise to actions relative to the last step, and these are absolute or relative to "
+                "an origin; give relative='last_step'."
+            )
         return dict(inner)
 
     def reset(self, observation: Observation, where: CopyIndex = everywhere) -> None:

@@ -21,10 +21,10 @@ KEPT = [0, 1, 2, 5]
 class KeepTilt(Layer):
     """Take `xyzyaw`, the change of translation and yaw, and pass on `xyzrpy` with which the tool keeps its tilt.
 
-    Put it on relative `xyzrpy` control. Whenever the last target is tilted otherwise than the tool was at the start of
-    the episode, because the arm could not reach a pose, the tool turns back, as fast as relative control allows. The
-    tool of an arm with five joints leans at most places, the start among them; it is kept as near to the vertical as
-    the arm can.
+    Put it on `xyzrpy` relative to the last step. Whenever the last target is tilted otherwise than the tool was at the
+    start of the episode, because the arm could not reach a pose, the tool turns back, as fast as relative control
+    allows. The tool of an arm with five joints leans at most places, the start among them; it is kept as near to the
+    vertical as the arm can.
     """
 
     memory = ("_start", "_last")
@@ -40,7 +40,7 @@ class KeepTilt(Layer):
         """Replace `xyzrpy` by `xyzyaw`.
 
         Raises:
-            InvalidSetup: The level below takes no `xyzrpy`.
+            InvalidSetup: The level below takes no `xyzrpy` relative to the last step.
         """
         require_xyzrpy(self, inner)
         self._bound = box = inner[XYZRPY].high

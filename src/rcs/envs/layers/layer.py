@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.spaces import XYZRPY, Action, Observation
+from rcs.envs.spaces import XYZRPY, Action, Observation, xyzrpy_space
 from rcs.errors import InvalidSetup
 
 ActionSpaces = dict[str, spaces.Box]
@@ -103,12 +103,12 @@ def replaced(values: Mapping[str, Any], key: str, new_key: str, value: Any) -> d
 
 
 def require_xyzrpy(layer: Layer, inner: ActionSpaces) -> None:
-    """Check that a layer that changes relative `xyzrpy` is on top of it.
+    """Check that a layer that changes `xyzrpy` relative to the last step is on top of it.
 
     Raises:
-        InvalidSetup: The level below takes no `xyzrpy`.
+        InvalidSetup: The level below takes no `xyzrpy`, or absolute ones or those relative to an origin.
     """
-    if XYZRPY not in inner:
+    if XYZRPY not in inner or inner[XYZRPY] == xyzrpy_space():  # which has the bounds of both
         raise InvalidSetup(
             f"{layer} is on top of {', '.join(inner) or 'no actions'}; it needs control='xyzrpy' and "
             "relative='last_step'."
