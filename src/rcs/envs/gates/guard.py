@@ -78,7 +78,7 @@ class Guard(Gate):
             touch: Bodies that end effectors may touch; None for the task's objects.
             allow: More bodies that may touch, in pairs of names, such as `[["fr3/gripper/hand", "fixture"]]`.
             workspace: Lowest and highest corner [m] in the frame of the scene, of a box that end effectors may not
-                leave; None for no such box.
+                leave, or the flange of an arm without one; None for no such box.
             deadline: Longest time that a check may take [s], after which it counts as a refusal; None for 10 ms in real
                 time and none in simulated time.
 

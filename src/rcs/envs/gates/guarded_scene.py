@@ -83,7 +83,7 @@ class GuardedScene:
             touch: Bodies that end effectors may touch.
             ignore: Bodies that all of the robots may touch, because their places are unknown.
             allow: More bodies that may touch, in pairs.
-            workspace: Box that end effectors may not leave; None for none.
+            workspace: Box that end effectors, or flanges without one, may not leave; None for none.
 
         Raises:
             InvalidSetup: A body does not exist, the box is empty, or copies of the world differ in their geometry.
@@ -116,7 +116,8 @@ class GuardedScene:
         self._allowed += [(body, other) for body in touch for other in (*near, *touch) if other != body]
         self._allowed += list(allow)
         if workspace is not None:
-            self._allowed += [(WALL, part) for arm, hand in zip(arms, hands, strict=True) for part in arm - hand]
+            inside = [hand or {self._last_link(robot)} for hand, robot in zip(hands, self._robots, strict=True)]
+            self._allowed += [(WALL, part) for arm, own in zip(arms, inside, strict=True) for part in arm - own]
         self._near = [(body, part) for body in near for hand in hands for part in hand]
         self._near += self._close_by_construction(margin)
         held = () if ignore else touch
@@ -269,6 +270,15 @@ class GuardedScene:
     def _bodies_of(self, prefix: str) -> set[str]:
         names = (self._model.body(i).name for i in range(self._model.nbody))
         return {name for name in names if name.startswith(prefix)}
+
+    def _last_link(self, robot: RobotPlacement) -> str:
+        """Return the body of the TCP, or the nearest one before it that can touch anything."""
+        model = self._model
+        solid = model.geom_bodyid[(model.geom_contype | model.geom_conaffinity) != 0]
+        body = int(model.site(robot.tcp_site).bodyid[0])
+        while body and body not in solid:
+            body = int(model.body_parentid[body])
+        return model.body(body).name
 
     def _close_by_construction(self, margin: float) -> list[tuple[str, str]]:
         """Return the bodies of one robot that are nearer to each other than the margin at home."""
