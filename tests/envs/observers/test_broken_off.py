@@ -14,6 +14,7 @@ from rcs_data import Dataset, DatasetWriter, check
 import rcs
 from rcs.envs.observer import Observer, Transition
 from rcs.envs.observers.dataset_info import dataset_info
+from rcs.envs.observers.record import record_all
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import DatasetError
 
@@ -150,6 +151,36 @@ def test_the_next_reset_keeps_what_a_fault_broke_off(recorded: Any, tmp_path: Pa
     assert (episode.length, episode.success, episode.instruction) == (5, None, "wave")
     assert episode.outcome["reasons"] == {"fake arm": "touched something"}
     assert bool(episode.column("truncated")[-1])
+
+
+def test_an_episode_recorded_unasked_says_why_a_fault_broke_it_off(
+    tmp_path: Path, make_bench: Callable[..., Any]
+) -> None:
+    bench = make_bench()
+    with record_all(bench.env, tmp_path):
+        bench.env.reset(seed=1)
+        fail_while_waiting(bench)
+        bench.env.step(bench.env.action_space.sample())
+    bench.env.close()
+    episode = only_episode(tmp_path)
+    assert (episode.length, episode.success, episode.outcome["end"]) == (2, None, "fault")
+    assert episode.outcome["reasons"] == {"fake arm": "touched something"}
+
+
+@pytest.mark.parametrize("copies", [None, 2])
+def test_an_episode_recorded_unasked_that_diverges_is_not_judged(
+    copies: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log there
+    env: Any = rcs.make("PickCuboid") if copies is None else rcs.make_vec("PickCuboid", copies=copies)
+    with record_all(env, tmp_path / "set"):
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
+        env.simulation.world.qvel[..., 0] = np.nan
+        env.step(env.action_space.sample())
+    env.close()
+    kept = [(one.length, one.success, one.outcome["end"]) for one in Dataset.open(tmp_path / "set").episodes]
+    assert kept == [(2, None, "diverged")] * (copies or 1)
 
 
 def test_a_step_that_a_device_in_fault_took_no_part_in_is_no_row(recorded: Any, tmp_path: Path) -> None:

@@ -105,6 +105,15 @@ def test_a_device_without_a_clock_has_no_time_of_its_own(tmp_path: Path) -> None
         np.testing.assert_array_equal(recorder.finish(True).column("time/device/joints"), [np.nan, 7.0, np.nan])
 
 
+def test_an_action_may_come_as_a_plain_number_or_a_list(recorder: Any) -> None:
+    recorder.name_next("a")
+    recorder.on_reset(transition(0, 0.0, is_first=True), None)
+    given: list[Any] = [0.5, [0.25]]
+    for i, joints in enumerate(given, 1):
+        recorder.on_step(replace(transition(i, i / 100), action={"joints": joints}))
+    np.testing.assert_array_equal(recorder.finish(None).column("action/joints")[1:, 0], [0.5, 0.25])
+
+
 def test_an_episode_can_begin_in_the_middle_of_a_run(recorder: Any) -> None:
     recorder.on_reset(transition(0, 0.0, is_first=True), None)
     recorder.on_step(transition(1, 0.01))

@@ -2,16 +2,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from rcs_data import Dataset, DatasetWriter
+from rcs_data import Dataset, DatasetWriter, recover
 
 import rcs
 from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
-from rcs.errors import WrongOrder
+from rcs.errors import DatasetError, WrongOrder
 
 
 class Session:
@@ -77,6 +78,26 @@ def test_a_retake_replaces_the_take_under_way_or_the_last_one(session: Session) 
     again = session.takes.finish(True)
     assert (again.length, again.instruction, again.success) == (2, "push", True)
     assert session.takes.start() == "000001"
+
+
+def test_after_a_disk_that_was_full_takes_go_on_and_the_rows_of_the_last_one_stay(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    session.takes.start()
+    session.steps(3)
+    with monkeypatch.context() as full:
+        full.setattr("os.fsync", fail)
+        with pytest.raises(DatasetError, match="No space left"):
+            session.takes.finish(True)
+    assert session.takes.start() == "000001"
+    session.steps(2)
+    assert session.takes.finish(True).length == 2
+    session.env.close()
+    session.writer.close()
+    assert recover(session.path).recovered == ("000000",)
 
 
 def test_what_makes_no_sense_is_refused(session: Session) -> None:

@@ -30,7 +30,7 @@ from rcs.envs.observers.dataset_info import (
     is_derived,
 )
 from rcs.envs.spaces import ORIGIN
-from rcs.envs.step.judge import DIVERGED
+from rcs.envs.step.judge import DIVERGED, FAULT
 from rcs.errors import InvalidSetup, WrongOrder
 
 END, REASONS = "end", "reasons"
@@ -87,7 +87,7 @@ class Recorder(Observer):
         self._last_take: tuple[str, str | None] | None = None
         self._last_time = 0.0
         self._last_captures: dict[str, float] = {}
-        self._dtypes = {feature.key: feature.numpy_dtype for feature in writer.info.features}
+        self._forms = {feature.key: (feature.numpy_dtype, feature.shape) for feature in writer.info.features}
         self._notes = {one.key: one for one in writer.info.features if one.key.startswith(f"{NOTES}/")}
         self._images: dict[str, list[str]] = {}
         for feature in writer.info.features:
@@ -149,6 +149,7 @@ class Recorder(Observer):
         Raises:
             WrongOrder: A take is under way.
         """
+        self._forget_closed()
         if self._take is not None:
             raise WrongOrder(f"Take {self._take[0]!r} is under way; finish or discard it before the next.")
         if self._number is None:
@@ -209,7 +210,9 @@ class Recorder(Observer):
             self._last_time = transition.time
             self._add(transition, period)
         if self._names is not None and (transition.terminated or transition.truncated):
-            success = transition.info.get("success")
+            if (end := transition.info.get("end")) in (DIVERGED, FAULT):  # `on_end` comes after the step
+                self.on_end(end, {name: why for name, why in transition.info.get("faults", {}).items() if why})
+            success = None if self._broken_off else transition.info.get("success")
             self.finish(None if success is None else bool(success))
 
     def _begin(self, first: Transition, seed: int | None) -> None:
@@ -240,9 +243,10 @@ class Recorder(Observer):
             row[SIMULATED_TIME] = transition.info["time"]
         row.update(_flat(OBSERVATION, transition.observation))
         if transition.action is not None and transition.executed is not None:
-            # An action may come in another number type; it is kept in that of its space.
-            given = _flat(ACTION, transition.action)
-            row.update({key: np.asarray(value, self._dtypes[key]) for key, value in given.items()})
+            # An action may come in another number type, or as a plain number; it is kept in the form of its space.
+            for key, value in _flat(ACTION, transition.action).items():
+                dtype, shape = self._forms[key]
+                row[key] = np.asarray(value, dtype).reshape(shape)
             row.update(_flat(EXECUTED, transition.executed))
             row["reward"] = transition.reward
         for key, feature in self._notes.items():
@@ -286,6 +290,7 @@ class Recorder(Observer):
 
         Raises:
             WrongOrder: No episode is open.
+            DatasetError, CorruptEpisode: The disk is full or fails; the rows stay for `recover`.
         """
         if self._episode is None and self._take is not None:
             raise WrongOrder(
@@ -297,9 +302,12 @@ class Recorder(Observer):
         again = {key: n for key, total in self._reconnections.items() if (n := total - begun.get(key, 0))}
         breaks = {RECONNECTIONS: again} if again else {}
         facts = {**self._objects, **breaks, **self._broken_off, **(outcome or {})}
-        record = self._episode.finish(success, facts, instruction=instruction)
-        self._episode = None
-        self._take, self._last_take = None, self._take
+        take = self._take
+        try:
+            record = self._episode.finish(success, facts, instruction=instruction)
+        finally:
+            self._forget_closed()
+        self._last_take = take
         return record
 
     @contextmanager
@@ -338,18 +346,22 @@ class Recorder(Observer):
         self._let_go()
 
     def _let_go(self) -> None:
-        """Keep the open episode if it was broken off, and drop it otherwise.
-
-        The rows of one that a failing disk has aborted stay for `recover`; one whose `finish` was interrupted may be
-        finished all the same.
-        """
-        if self._episode is not None and self._episode.state in ("aborted", "finished"):
-            self._episode = self._take = None
+        """Keep the open episode if it was broken off, and drop it otherwise."""
+        self._forget_closed()
         if self._episode is not None and self._broken_off and self._episode.rows:
             self.finish(None)
         if self._episode is not None:
             self._take = None
         self._drop()
+
+    def _forget_closed(self) -> None:
+        """Let go of an episode that is no longer open.
+
+        The rows of one that a failing disk has aborted stay for `recover`; one whose `finish` was interrupted may be
+        finished all the same.
+        """
+        if self._episode is not None and self._episode.state != "open":
+            self._episode = self._take = None
 
 
 def _noted(feature: Feature, given: Any) -> NDArray[Any]:
