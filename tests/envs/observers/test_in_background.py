@@ -14,6 +14,7 @@ from rcs_data import DatasetWriter
 import rcs
 from rcs.envs import InBackground, Observer, Recorder, Transition, dataset_info
 from rcs.errors import InvalidSetup
+from rcs.sim.pixels import Pixels
 
 ACTION = {"joints": np.zeros(7), "gripper": np.ones(1, np.float32)}
 
@@ -101,6 +102,22 @@ def test_its_error_is_in_the_info_of_later_steps_and_raised_by_close_and_the_loo
     env.close()
 
 
+class Other(Witness):
+    """Another class, with a name of its own."""
+
+
+def test_of_two_that_fail_both_are_told() -> None:
+    watched = [InBackground(Witness(fail_at=1)), InBackground(Other(fail_at=1))]
+    env = rcs.make("Free", observers=watched)
+    env.reset(seed=0)
+    env.step(ACTION)
+    assert all(one.wait() for one in watched)
+    info = env.step(ACTION)[-1]
+    assert info["observers"] == dict.fromkeys(("Witness", "Other"), "ValueError: the disk is full")
+    with pytest.raises(ValueError, match="disk is full"):
+        env.close()
+
+
 def test_closing_waits_for_what_is_in_the_queue() -> None:
     witness = Witness()
     with rcs.make("Free", observers=[InBackground(witness)]) as env:
@@ -121,6 +138,36 @@ def test_what_the_program_does_to_its_observation_is_not_seen() -> None:
         go.set()
         assert background.wait()
         assert witness.seen[1].shape == (7,)
+
+
+class Copies(Witness):
+    """Keeps copies of actions and pixels, as they are when it comes to look at them."""
+
+    def on_step(self, transition: Transition) -> None:
+        super().on_step(transition)
+        action: Any = transition.action
+        self.seen[-1] = action["joints"].copy(), transition.observation["frames"]["side"]["pixels"].copy()
+
+
+def test_actions_and_pixels_whose_memory_is_used_again_are_seen_as_they_were() -> None:
+    go = threading.Event()
+    late = Copies(go=go)
+    background = InBackground(late)
+    cameras = rcs.Cameras(names=("side",), image_size=(16, 16), pixels=Pixels(valid_steps=1))
+    with rcs.make("PickCuboid", cameras=cameras, observers=[background]) as env:
+        env.action_space.seed(0)
+        env.reset(seed=0)
+        action = env.action_space.sample()
+        expected: list[Any] = []
+        for _ in range(8):
+            action["joints"][:] = env.action_space.sample()["joints"]
+            observation, *_ = env.step(action)
+            expected.append((action["joints"].copy(), observation["frames"]["side"]["pixels"].copy()))
+        go.set()
+        assert background.wait()
+    for (joints, pixels), (given, shown) in zip(late.seen[1:], expected, strict=True):
+        np.testing.assert_array_equal(joints, given)
+        np.testing.assert_array_equal(pixels, shown)
 
 
 def test_without_an_episode_there_is_no_thread() -> None:

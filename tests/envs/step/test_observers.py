@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+import rcs
+from rcs.envs.observer import Observer, Transition
 from rcs.envs.step.observers import Observers
 
 
@@ -16,6 +19,19 @@ class Seen:
 
     def on_end(self, end: str, reasons: Any) -> None:
         self.ends.append(end)
+
+
+class Notebook(Observer):
+    """Keeps what it is shown."""
+
+    def __init__(self) -> None:
+        self.seen: list[Transition] = []
+
+    def on_reset(self, first: Transition, seed: int | None) -> None:
+        self.seen.append(first)
+
+    def on_step(self, transition: Transition) -> None:
+        self.seen.append(transition)
 
 
 def observers(copies: int) -> Any:
@@ -40,3 +56,30 @@ def test_the_end_of_a_copy_is_shown_to_its_observers_alone() -> None:
     shown.on_end("closed", {})
     assert (first.ends, second.ends) == (["closed"], ["fault", "closed"])
     assert np.ndim(shown.after_hold) == 0
+
+
+def test_a_copy_is_shown_its_own_row_of_actions_that_come_in_lists() -> None:
+    envs, notebook = rcs.make_vec("Free", copies=2), Notebook()
+    envs.add_observer(notebook, copy=1)
+    envs.reset(seed=0)
+    given: Any = {"joints": [[0.0] * 7, [0.01] * 7], "gripper": [[1.0], [0.0]]}
+    envs.step(given)
+    action: Any = notebook.seen[-1].action
+    np.testing.assert_array_equal(action["joints"], np.full(7, 0.01))
+    np.testing.assert_array_equal(action["gripper"], [0.0])
+    envs.close()
+
+
+def test_notes_are_shown_once_and_those_of_a_lost_step_never(make_bench: Callable[..., Any]) -> None:
+    bench, notebook = make_bench(), Notebook()
+    bench.env.add_observer(notebook)
+    bench.env.reset()
+    bench.env.note(actor="page")
+    bench.arm.set_fault("touched something")
+    bench.env.step(bench.env.action_space.sample())
+    bench.env.recover()
+    bench.env.reset()
+    bench.env.note(actor="agent")
+    bench.env.reset()
+    bench.env.step(bench.env.action_space.sample())
+    assert [dict(one.notes) for one in notebook.seen] == [{}, {}, {"actor": "agent"}, {}]

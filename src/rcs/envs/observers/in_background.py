@@ -2,7 +2,7 @@
 
 The loop puts each transition into a bounded queue and goes on. When the thread falls behind by the bound, new steps are
 left out and counted; starts and ends of episodes are never left out. Transitions are handed over as they are, because
-their arrays are written once.
+their arrays are written once, but for the action, which is the caller's, and pixels, whose memory may be used again.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from rcs_data.options import require_whole
 
 from rcs.background_thread import BackgroundThread
 from rcs.envs.observer import Observer, Transition
 from rcs.envs.observers.recorder import Recorder
+from rcs.envs.spaces import PIXELS
 from rcs.errors import InvalidSetup, WrongOrder
 
 _log = logging.getLogger(__name__)
@@ -148,5 +150,18 @@ class _Call:
 
 
 def _own(transition: Transition) -> Transition:
-    """Return a transition whose dictionaries are its own; arrays are written once and shared."""
-    return replace(transition, observation=dict(transition.observation), info=dict(transition.info))
+    """Return a transition whose dictionaries, action and pixels are its own; other arrays are shared."""
+    action = None if transition.action is None else _copied(transition.action)
+    observation = _copied(transition.observation, only=PIXELS)
+    return replace(transition, observation=observation, action=action, info=dict(transition.info))
+
+
+def _copied(values: Mapping[str, Any], *, only: str = "") -> dict[str, Any]:
+    """Return values in dictionaries of their own, in any nesting, with copies of all arrays, or of those of one key."""
+    copied: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            copied[key] = _copied(value, only=only)
+        else:
+            copied[key] = np.array(value) if only in ("", key) else value
+    return copied

@@ -68,6 +68,7 @@ class Observers:
         for copy, observer in self._observers:
             if copy in seeds:
                 observer.on_reset(self._transition(copy, observation, info), seeds[copy])
+        self._notes = {}
 
     def on_step(
         self, step: Step, action: Any, starting: NDArray[np.bool_] | None, diverged: NDArray[np.bool_] | None = None
@@ -81,6 +82,8 @@ class Observers:
             diverged: Copies that show the moment before, since the one after the step is lost; None for none.
         """
         lost = () if diverged is None else np.flatnonzero(diverged)
+        if self._is_batch and self._observers:
+            action = _arrays(action)
         for copy, observer in self._observers:
             is_lost = copy in lost
             if (starting is None or not starting[copy]) and (copy in self._last or not is_lost):
@@ -89,6 +92,7 @@ class Observers:
 
     def on_end(self, end: str, reasons: Mapping[str, str], *, copy: int | None = None) -> None:
         """End the episodes that observers see, or that of one copy, because they were broken off."""
+        self._notes = {}  # those of a step that is lost
         ended = [observer for own, observer in self._observers if copy in (None, own)]
         self._last = {} if copy is None else {own: moment for own, moment in self._last.items() if own != copy}
         for_all([lambda observer=observer: observer.on_end(end, reasons) for observer in ended])
@@ -98,7 +102,9 @@ class Observers:
         info: dict[str, Any] = {}
         for _, observer in self._observers:
             if type(observer).info is not Observer.info:
-                info.update(observer.info())
+                for key, value in observer.info().items():  # several may have parts of one key, such as their errors
+                    is_part = isinstance(value, dict) and isinstance(info.get(key), dict)
+                    info[key] = {**info[key], **value} if is_part else value
         return info
 
     def closes(self) -> list[Callable[[], None]]:
@@ -149,6 +155,11 @@ class Observers:
             sim_state=None if simulation is None else simulation.world.core.get_state(copy),
             objects=row(objects, copy) if self._is_batch else objects,
         )
+
+
+def _arrays(action: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an action in arrays, whose rows are those of copies; it may have come in lists or tensors."""
+    return {key: _arrays(value) if isinstance(value, Mapping) else np.asarray(value) for key, value in action.items()}
 
 
 def _ends(step: Step, copy: int, is_batch: bool) -> tuple[float, bool, bool]:
