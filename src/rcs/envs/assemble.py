@@ -210,6 +210,11 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
             f"Real cameras ({', '.join(camera.name for camera in real)}) give pictures, not pixels for learners; leave "
             "pixels out of the setup."
         )
+    if setup.cameras.points and (moving := [camera.name for camera in real if not _has_pose(camera, parts)]):
+        raise InvalidSetup(
+            f"Real cameras that move ({', '.join(moving)}) have no extrinsics, and so no points, but for that on the "
+            "gripper of an only robot; use points=False, or leave them out."
+        )
     points = [PointClouds()] if setup.cameras.points else []
     views = [_real_cameras(parts, real)] if real or devices.tactile else []
     shared += views
@@ -364,6 +369,13 @@ def _in_tcp(camera: CameraPlacement, robot: RobotPlacement) -> Pose | None:
     if effector is None or camera.parent_body != robot.gripper_prefix + effector.base_body:
         return None
     return effector.tcp_in_base.pose.inverse() * camera.optical_in_parent.pose
+
+
+def _has_pose(camera: CameraPlacement, parts: Parts) -> bool:
+    """Return whether the pose of a real camera is known at every step."""
+    if camera.parent_body in {"world", *(robot.base_body for robot in parts.robots)}:
+        return True
+    return len(parts.robots) == 1 and _in_tcp(camera, parts.robots[0]) is not None
 
 
 def _late_actions(randomiser: Randomiser, setup: Setup, leading: tuple[int, ...]) -> list[Layer]:

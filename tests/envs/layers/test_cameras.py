@@ -80,6 +80,13 @@ def test_a_camera_without_depth_or_frames_stays_as_it_is() -> None:
             assert mapped["frames"]["side"].keys() == {"rgb"}
 
 
+def test_points_of_a_real_camera_on_one_of_several_robots_are_refused() -> None:
+    cameras = rcs.Cameras(names=("left_wrist",), image_size=(64, 48), depth=True, points=True)
+    hardware = {"left": "fake:a", "right": "fake:b", "left_wrist": "fake:c"}
+    with pytest.raises(InvalidSetup, match=r"\(left_wrist\) have no extrinsics"):
+        rcs.make("Free", robot="dual_fr3", hardware=hardware, cameras=cameras)
+
+
 def test_points_without_depth_are_refused() -> None:
     with pytest.raises(InvalidSetup, match="give depth=True"):
         rcs.Setup(cameras=rcs.Cameras(points=True))
