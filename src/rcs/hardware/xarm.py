@@ -94,6 +94,7 @@ class XarmArm(StreamedArm):
         self._heard = 0.0
         self._is_led = False
         self._is_given_way = False
+        self._is_ours = False  # whether the mode of the arm is that of this driver
         self._ramp: TcpRamp | None = None
         self._place: NDArray[np.float64] | None = None
         self._sent: NDArray[np.float64] | None = None
@@ -169,16 +170,27 @@ class XarmArm(StreamedArm):
             self.set_fault(self._trouble)
 
     def _start(self) -> None:
-        _, state = self._ask(self._api.get_state)
         if self._is_given_way:
             self._is_given_way = False
-        elif state == _MOVING:
-            raise DeviceFault(
-                f"{self._address}: another program already moves the arm ({others_on(self._address)}); end it"
-            )
+            if self._trouble:  # someone has stopped the arm, which must not be enabled again
+                raise DeviceFault(self._trouble)
+        else:
+            self._require_free()
         self._enter(_SERVO)
         self._ramp = self._place = self._sent = None
         self._is_led = True
+
+    def _require_free(self) -> None:
+        """Check that no other program moves the arm.
+
+        Raises:
+            DeviceFault: One does.
+        """
+        _, state = self._ask(self._api.get_state)
+        if state == _MOVING:
+            raise DeviceFault(
+                f"{self._address}: another program already moves the arm ({others_on(self._address)}); end it"
+            )
 
     def _enter(self, mode: int) -> None:
         """Enable the motors and enter a mode.
@@ -186,7 +198,7 @@ class XarmArm(StreamedArm):
         Raises:
             DeviceFault: The controller refuses; the message says why.
         """
-        api = self._api
+        api, self._is_ours = self._api, True
         code = api.motion_enable(True)  # the library waits 5 s for the brakes
         if code == _NO_ANSWER:
             self._ask(api.get_state)  # if it answers, only a packet was lost
@@ -264,20 +276,23 @@ class XarmArm(StreamedArm):
     def _stop(self) -> None:
         self._is_led = self._is_given_way = False
         self._sent = None
-        if not self._is_silent:  # otherwise the arm stands at the last setpoint
+        if self._is_ours and not self._is_silent:  # a silent one stands at the last setpoint
             self._ask(lambda: self._api.set_state(_STOPPED))
+            self._is_ours = False
 
     def _can_guide(self) -> bool:
         return True
 
     def _guide(self) -> None:
+        if not self._is_ours:
+            self._require_free()
         self._is_led = False
         self._sent = None
         self._enter(_MANUAL)
         self._is_given_way = True
 
     def _clear(self) -> None:
-        self._is_led = self._is_given_way = False
+        self._is_led = self._is_given_way = self._is_ours = False
         if self._is_silent or not self._api.connected:
             self._let_go()
             self._open()
@@ -294,7 +309,7 @@ class XarmArm(StreamedArm):
         self._let_go()
 
     def _let_go(self) -> None:
-        self._is_led = self._is_given_way = False
+        self._is_led = self._is_given_way = self._is_ours = False
         self._sent = None
         if self._api is not None:
             self._api.disconnect()
