@@ -6,6 +6,7 @@ import os
 import pty
 import time
 from collections.abc import Generator, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from rcs.devices import Gripper
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.hardware.robotiq import RobotiqDriver, RobotiqGripper
-from rcs.hardware.robotiq_lines import ModbusLine
+from rcs.hardware.robotiq_lines import MODBUS_DEVICE, ModbusLine
 from rcs.robots import ROBOTIQ_2F85
 from rcs.testing import GripperContract
 from rcs.virtual import VirtualProcess
@@ -211,6 +212,30 @@ def test_a_line_that_the_library_closes_after_some_silence_is_opened_again() -> 
             line.read()
     line.close()
     for end in ends:
+        os.close(end)
+
+
+@pytest.mark.hardware
+def test_a_line_that_was_unplugged_is_opened_again(tmp_path: Path) -> None:
+    pytest.importorskip("pymodbus", reason="the extra `robotiq` is not installed")
+    first, second = pty.openpty(), pty.openpty()
+    os.set_blocking(second[0], False)
+    port = tmp_path / "port"
+    port.symlink_to(os.ttyname(first[1]))
+    line = ModbusLine(str(port))
+    for end in first:
+        os.close(end)
+    with pytest.raises(DeviceFault):
+        line.read()
+    port.unlink()
+    with pytest.raises(DeviceFault, match="There is no serial line"):
+        line.read()
+    port.symlink_to(os.ttyname(second[1]))
+    with pytest.raises(DeviceFault, match="no gripper answers"):
+        line.read()
+    assert os.read(second[0], 64)[0] == MODBUS_DEVICE
+    line.close()
+    for end in second:
         os.close(end)
 
 

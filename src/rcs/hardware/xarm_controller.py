@@ -195,10 +195,14 @@ class XarmTool:
         Raises:
             DeviceFault: No controller answers; the message says what to check.
         """
-        require_controller(address)
         self._address = address
-        self._api = connect(address)
-        self._api.set_timeout(TOOL_PATIENCE)
+        self._api = self._connect()
+
+    def _connect(self) -> Any:
+        require_controller(self._address)
+        api = connect(self._address)
+        api.set_timeout(TOOL_PATIENCE)
+        return api
 
     def read(self) -> RobotiqStatus:
         """Read the three input registers."""
@@ -216,6 +220,9 @@ class XarmTool:
         self._api.disconnect()
 
     def _ask(self, frame: bytes, size: int) -> bytes:
+        if not self._api.connected:
+            self._api.disconnect()
+            self._api = self._connect()
         code, answer = self._api.set_rs485_data(list(frame), min_res_len=size)
         if code != 0 or len(answer) < size or answer[1] != frame[1]:
             raise DeviceFault(
