@@ -281,6 +281,17 @@ def test_a_controller_may_take_its_time_to_give_way(tmp_path: Path) -> None:
         assert (arm.is_guided, arm.fault, arm.host) == (True, "", host)
 
 
+def test_a_library_that_keeps_the_interpreter_while_it_recovers_and_closes_is_no_fault_of_other_devices(
+    tmp_path: Path,
+) -> None:
+    with unruly_gripper(tmp_path) as gripper, unruly_arm(tmp_path) as arm:
+        for call in ("recover", "close"):
+            drop(tmp_path, call, "keep half a second")
+            getattr(arm, call)()
+        gripper.state()
+        assert gripper.fault == ""
+
+
 def test_opening_raises_what_the_driver_raises(tmp_path: Path) -> None:
     arm = unruly_arm(tmp_path)
     drop(tmp_path, "open", "lack")

@@ -53,6 +53,7 @@ DEEDS = {
     "exit": lambda: os._exit(7),
     "hang": lambda: time.sleep(60),
     "keep": lambda: keep_interpreter(60),
+    "keep half a second": lambda: ctypes.PyDLL(None).usleep(500_000),
     "pause": lambda: time.sleep(0.15),
     "settle": lambda: time.sleep(0.6),
     "raise": raise_index_error,

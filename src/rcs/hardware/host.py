@@ -47,7 +47,7 @@ class Host:
         self._lock = threading.Condition()
         self._users: dict[str, int] = {}  # process of the program that uses each kind of device
         self._answering = 0
-        self._opening = 0.0  # time limit of the device that is being opened [s]
+        self._delays: list[float] = []  # time limits of calls under way that may hold the GIL [s]
         self._desks: list[HostDesk] = []
         self._threads: list[threading.Thread] = []
         self._ends = os.eventfd(0)  # signalled by each thread that has finished answering
@@ -117,11 +117,11 @@ class Host:
         try:
             with self._claim(wanted.kind, process):
                 device, times = self._make(wanted)
-                with self._others_wait(times):
+                with self._others_wait("opening", times.open):
                     device.open()
                 with device:
                     desk = HostDesk(memory, records.fileno(), process, device)
-                    if not _measure(device, desk, times.answer):
+                    if not _measure(device, desk, self._limit(times)):
                         raise DeviceFault(f"{device.name}: {device.fault}")
                     records.send(None)
                     with self._listed(desk):
@@ -153,15 +153,19 @@ class Host:
                 self._lock.notify_all()
 
     @contextmanager
-    def _others_wait(self, times: HostTimes) -> Generator[None]:
-        """Suspend the time limits of the other devices while one is opened, which may hold the GIL."""
-        self._opening = times.open
+    def _others_wait(self, call: str, seconds: float) -> Generator[None]:
+        """Extend the time limits of the other devices during a call that may hold the GIL."""
+        self._delays.append(seconds)
         for desk in list(self._desks):
-            desk.promise("opening of another device", times.open)
+            desk.promise(f"{call} of another device", seconds)
         try:
             yield
         finally:
-            self._opening = 0.0
+            self._delays.remove(seconds)
+
+    def _limit(self, times: HostTimes) -> float:
+        """Return the time limit of the next call [s]."""
+        return max([times.answer, *self._delays])
 
     @contextmanager
     def _listed(self, desk: HostDesk) -> Generator[None]:
@@ -181,17 +185,17 @@ class Host:
         """Measure and execute the program's requests until it closes the device or ends."""
         limits = {HostCall.recover: times.recover, HostCall.guide: times.recover, HostCall.close: times.close}
         while desk.is_used and not self._is_ending:
-            answer = max(times.answer, self._opening)
-            rest = times.period if _measure(device, desk, answer) else FAILED_REST
+            rest = times.period if _measure(device, desk, self._limit(times)) else FAILED_REST
             until = time.monotonic() + rest
             while (left := until - time.monotonic()) > 0:
-                desk.promise("a pause", left + answer)
+                desk.promise("a pause", left + self._limit(times))
                 request = desk.next(left)
                 if request is None:
                     break
-                limit = limits.get(request.call, answer)
-                desk.promise(request.call.name, limit)
-                _answer(device, desk, request, answer)
+                call, limit = request.call.name, limits.get(request.call)
+                with contextlib.nullcontext() if limit is None else self._others_wait(call, limit):
+                    desk.promise(call, self._limit(times))
+                    _answer(device, desk, request, self._limit(times))
                 if request.call is HostCall.close:
                     return
 

@@ -227,9 +227,11 @@ class UrArm(StreamedArm):
         self._may_run = True
         try:
             if self._control is None:
-                self._control = control.RTDEControlInterface(self._address, 500.0)
-            elif not self._control.reuploadScript():
-                raise DeviceFault(f"{self._address}: the control script cannot be uploaded again")
+                # The constructor holds the GIL: without this flag, until the script runs.
+                make = control.RTDEControlInterface
+                self._control = make(self._address, 500.0, make.FLAG_NO_WAIT)
+            if not self._control.reuploadScript():
+                raise DeviceFault(f"{self._address}: the control script cannot be uploaded")
         except RuntimeError as err:
             raise DeviceFault(f"{self._address}: {err}") from err
         self._end = ""
