@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -161,6 +162,15 @@ def test_rcs_stop_kills_a_host_that_does_not_answer(tmp_path: Path) -> None:
         said = hosted.stop_hosts()
         assert any("was killed" in text for text in said.values()) or "killed" in arm.fault
         wait_for(lambda: arm.fault)
+
+
+def test_rcs_stop_asks_all_hosts_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names, together = ["left", "middle", "right"], threading.Barrier(3)
+    for name in names:
+        (tmp_path / f"{name}.sock").touch()
+    monkeypatch.setattr(hosted, "folder", lambda: tmp_path)
+    monkeypatch.setattr(hosted, "_stop", lambda _: f"holds {together.wait(2.0)}")
+    assert list(hosted.stop_hosts()) == names
 
 
 def test_rcs_stop_without_hosts_says_so() -> None:

@@ -17,6 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -231,8 +232,9 @@ def stop_hosts() -> dict[str, str]:
 
     A host that does not answer within `STOP_TIME` is killed.
     """
-    outcomes = {path.stem: _stop(path) for path in sorted(folder().glob("*.sock"))}
-    return {name: outcome for name, outcome in outcomes.items() if outcome}
+    paths = sorted(folder().glob("*.sock"))
+    with ThreadPoolExecutor(max(len(paths), 1)) as pool:  # no host waits for one that does not answer
+        return {path.stem: outcome for path, outcome in zip(paths, pool.map(_stop, paths), strict=True) if outcome}
 
 
 def _stop(path: Path) -> str:
