@@ -193,6 +193,39 @@ def test_fingers_that_stand_still_keep_their_goal_in_a_hold(served: VirtualProce
         arrive(hand, np.array(TILBURG_HAND.open_pose))
 
 
+def test_recover_lets_go_of_nothing_that_healthy_fingers_hold(
+    served: VirtualProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcs.hardware.tilburg.REBOOTING", 0.05)
+    hand: Any = made(served)
+    with hand:
+        arrive(hand, np.full(16, 0.3))
+        time.sleep(0.5)
+        hand._disconnect()
+        hand.set_fault("the link is lost")
+        hand.recover()
+        assert hand._read(TORQUE, 1).all()
+        np.testing.assert_array_equal(hand._goal, 0.3)
+        served.tell("hand/overload", "index")
+        with pytest.raises(DeviceFault, match="index"):
+            look(hand)
+        served.tell("hand/clear")
+        hand.recover()
+        others = np.array([not name.startswith("index") for name in TILBURG_HAND.joints])
+        np.testing.assert_array_equal(hand._read(TORQUE, 1), others)
+        np.testing.assert_array_equal(hand._goal[others], 0.3)
+
+
+def test_fingers_have_not_arrived_before_they_begin_to_move(
+    served: VirtualProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with made(served) as hand:
+        arrive(hand, np.full(16, 0.3))
+        monkeypatch.setattr("rcs.hardware.tilburg.STILL", 1e6)
+        hand.command_joints(np.full(16, 0.5))
+        assert not hand.has_arrived()
+
+
 def test_options_are_checked() -> None:
     driver = TilburgDriver()
     for options, words in (

@@ -116,13 +116,14 @@ class TilburgHand(Hand):
         self._since = -math.inf  # when the last command came
         self._port: int | None = None  # locks it against other programs
         self._is_late = False  # an answer is missing, and may still come
-        self._is_ready = False  # all motors are on, with bounded currents
+        self._ready = np.zeros(self.joint_count, np.bool_)  # motors that are on, with bounded currents
         self._is_powered = False  # some may be on
 
     # --- Functions of the interface ---
 
     def _open(self) -> None:
         with self._bus:
+            self._ready[:], self._goal = False, None
             self._connect()
             self._read(POSITION, 4)
 
@@ -135,7 +136,7 @@ class TilburgHand(Hand):
 
     def _command_joints(self, joints: NDArray[np.float64]) -> None:
         with self._bus:
-            if not self._is_ready:
+            if not self._ready.all():
                 self._switch_on()
             self._goal, self._since = np.array(joints), time.monotonic()
             self._send(self._goal)
@@ -144,7 +145,8 @@ class TilburgHand(Hand):
         with self._bus:
             if self._goal is None or np.abs(self._measure() - self._goal).max() < NEAR:
                 return True
-            return bool(np.abs(self._read(SPEED, 4)).max() <= STILL)  # it presses on something
+            has_begun = time.monotonic() > self._since + BEGINNING
+            return has_begun and bool(np.abs(self._read(SPEED, 4)).max() <= STILL)  # it presses on something
 
     def _hold(self) -> None:
         with self._bus:
@@ -161,17 +163,25 @@ class TilburgHand(Hand):
 
     def _recover(self) -> None:
         with self._bus:
-            self._disconnect()
-            self._connect()
-            if any(bits := self._read(ERRORS, 1).tolist()):
-                self._reboot([motor for motor, bit in zip(self._motors, bits, strict=True) if bit])
+            try:
+                errors = self._read(ERRORS, 1)
+            except (DeviceFault, OSError):
+                self._disconnect()
+                self._connect()
+                errors = self._read(ERRORS, 1)
+            if errors.any():
+                self._reboot([motor for motor, bits in zip(self._motors, errors, strict=True) if bits])
+            # Motors that are still on keep their goals: fingers that press on an object must not drop it.
+            self._ready &= self._read(TORQUE, 1) == 1
+            if self._goal is not None:
+                self._goal = np.where(self._ready, self._goal, np.clip(self._measure(), 0.0, 1.0))
             self._require_no_error()
 
     def _close(self) -> None:
         with self._bus:
             try:
                 if self._is_powered and self._releases:
-                    self._write_each(TORQUE, 1, [0] * len(self._motors))
+                    self._write_each(TORQUE, 1, 0)
                     self._is_powered = False
             except DeviceFault as err:  # the link is lost
                 _log.warning("%s may still be powered: %s", self.name, err)
@@ -234,7 +244,7 @@ class TilburgHand(Hand):
         return str(path)
 
     def _disconnect(self) -> None:
-        library, self._library, self._is_ready, self._goal = self._library, None, False, None
+        library, self._library = self._library, None
         port = None if library is None else library.dynamixel_portHandler
         if port is not None and port.is_open:
             port.closePort()
@@ -250,16 +260,16 @@ class TilburgHand(Hand):
         time.sleep(REBOOTING)
 
     def _switch_on(self) -> None:
-        """Bound the currents, then switch the motors on where they are."""
-        count = len(self._motors)
-        self._write_each(TORQUE, 1, [0] * count)
-        self._write_each(MODE, 1, [CURRENT_BASED_POSITION] * count)
-        self._write_each(GOAL_CURRENT, 2, [self._current] * count)
-        here = self._read(POSITION, 4)
-        self._write_all(GOAL, 4, [int(one) for one in here])
+        """Bound the currents of the motors that are not ready, then switch these on where they are."""
+        off = ~self._ready
+        self._write_each(TORQUE, 1, 0, off)
+        self._write_each(MODE, 1, CURRENT_BASED_POSITION, off)
+        self._write_each(GOAL_CURRENT, 2, self._current, off)
+        here = self._measure()
+        self._send(here if self._goal is None else np.where(off, here, self._goal))
         self._is_powered = True
-        self._write_each(TORQUE, 1, [1] * count)
-        self._is_ready = True
+        self._write_each(TORQUE, 1, 1, off)
+        self._ready[:] = True
 
     def _measure(self) -> NDArray[np.float64]:
         """Return the joints, 0 to 1 of their ranges."""
@@ -271,10 +281,11 @@ class TilburgHand(Hand):
 
     def _require_no_error(self) -> None:
         self._checked = time.monotonic()
-        for name, bits in zip(self._joints, self._read(ERRORS, 1).tolist(), strict=True):
+        errors = self._read(ERRORS, 1)
+        self._ready &= errors == 0  # the others have switched themselves off
+        for name, bits in zip(self._joints, errors.tolist(), strict=True):
             if bits:
                 known = [words for bit, words in ERROR_BITS.items() if bits & bit]
-                self._is_ready = False  # the motor has switched itself off
                 raise DeviceFault(
                     f"the motor of {name} has error {bits}: {'; '.join(known) or 'unknown'}. Check the supply and what "
                     "blocks the finger, then recover, which restarts the motor"
@@ -319,8 +330,8 @@ class TilburgHand(Hand):
         if (result := request.txPacket()) != SUCCESS:
             raise DeviceFault(library.dynamixel_packetHandler.getTxRxResult(result))
 
-    def _write_each(self, register: int, size: int, values: Sequence[int]) -> None:
-        """Write a register of each motor, and check the answers once all are written.
+    def _write_each(self, register: int, size: int, value: int, which: NDArray[np.bool_] | None = None) -> None:
+        """Write a value to a register of each motor, or of some, and check the answers once all are written.
 
         Raises:
             DeviceFault: A motor does not answer or refuses; the message names it.
@@ -329,7 +340,9 @@ class TilburgHand(Hand):
         handler, port = library.dynamixel_packetHandler, library.dynamixel_portHandler
         write = handler.write1ByteTxRx if size == 1 else handler.write2ByteTxRx
         failures: list[str] = []
-        for name, motor, value in zip(self._joints, self._motors, values, strict=True):
+        for index, (name, motor) in enumerate(zip(self._joints, self._motors, strict=True)):
+            if which is not None and not which[index]:
+                continue
             result, error = 1, 0
             # To write it twice does no harm; after a motor that does not answer, too much time would pass.
             for _ in range(1 if failures else TRIES):
