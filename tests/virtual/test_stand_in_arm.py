@@ -131,8 +131,16 @@ def test_numbers_that_make_no_sense_are_refused(options: Any) -> None:
 def test_the_driver_takes_the_options_of_a_site_and_refuses_others() -> None:
     arm = SimDriver().arm("bench", FR3, {"delay": 0.04, "noise": 1e-4, "gripper": "franka_hand"})
     assert (arm.name, arm.delay) == ("bench", 0.04)
-    with pytest.raises(InvalidSetup, match="Did you mean 'delay'"):
-        SimDriver().arm("", FR3, {"dealy": 0.04})
+    for options, words in (
+        ({"dealy": 0.04}, "Did you mean 'delay'"),
+        ({"delay": "0.04"}, "delay is '0.04'; valid: a finite number from 0"),
+        ({"noise": None}, "noise is None; valid: a finite number from 0"),
+        ({"seed": -1}, "seed is -1; valid: a whole number from 0"),
+        ({"smoothing": 0}, "smoothing is 0; valid: a finite number above 0"),
+        ({"gripper": 3}, "gripper is 3; valid: a text"),
+    ):
+        with pytest.raises(InvalidSetup, match=words):
+            SimDriver().arm("", FR3, options)
 
 
 def test_an_environment_drives_it_in_real_time() -> None:

@@ -8,20 +8,16 @@ from typing import Any
 
 from rcs.devices import lookup
 from rcs.devices.fakes import FakeGripper
-from rcs.errors import require_fields
 from rcs.hardware.driver import Driver
 from rcs.hardware.fake import FakeDriver
 from rcs.robots.description import ArmDescription, GripperDescription
-from rcs.virtual.stand_in_arm import StandInArm
-
-OPTIONS = ("delay", "noise", "seed", "smoothing", "gripper")
+from rcs.virtual.stand_in_arm import StandInArm, StandInOptions
 
 
 class SimDriver(Driver):
     """Driver of arms with real-time physics, and of grippers that move at the speeds of their descriptions.
 
-    Options of an arm in a site: `delay` [s], `noise` [rad], `seed`, `smoothing` [s], and `gripper`, the name of its
-    gripper.
+    An arm takes the options of `StandInOptions`, a gripper none.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -31,13 +27,19 @@ class SimDriver(Driver):
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> StandInArm:
         """Return an arm at its home position."""
-        require_fields("option of a simulated arm", options, OPTIONS)
-        given = dict(options)
-        name = given.pop("gripper", None)
-        gripper: GripperDescription | None = None if name is None else lookup.find("gripper", name)
-        return StandInArm(about, gripper=gripper, clock=self._clock, name=address or about.name, **given)
+        given = StandInOptions.from_json(options)
+        gripper: GripperDescription | None = None if given.gripper is None else lookup.find("gripper", given.gripper)
+        return StandInArm(
+            about,
+            gripper=gripper,
+            delay=given.delay,
+            noise=given.noise,
+            seed=given.seed,
+            smoothing=given.smoothing,
+            clock=self._clock,
+            name=address or about.name,
+        )
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FakeGripper:
-        """Return an open gripper, which cannot grasp; it ignores the options of its arm."""
-        require_fields("option of a simulated arm", options, OPTIONS)
-        return FakeDriver(self._clock).gripper(address, about, {})
+        """Return an open gripper, which cannot grasp."""
+        return FakeDriver(self._clock).gripper(address, about, options)

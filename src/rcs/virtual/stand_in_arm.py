@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.options import Natural, NotNegative, Positive, Record
 
 from rcs.devices import Arm, ArmState
-from rcs.errors import DeviceFault, InvalidSetup
+from rcs.errors import DeviceFault
 from rcs.robots.description import ArmDescription, GripperDescription
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.timed_world import SMOOTHING, TimedWorld
@@ -22,6 +22,21 @@ STILL = 5e-3
 """Speed below which a joint stands still [rad/s]."""
 
 _NAME = "arm"
+
+
+class StandInOptions(Record):
+    """A site's options for a stand-in."""
+
+    delay: NotNegative = 0.02
+    """Delay between a command and the resulting motion [s]."""
+    noise: NotNegative = 0.0
+    """Standard deviation of every measured joint [rad]."""
+    seed: Natural = 0
+    """Random seed of the noise."""
+    smoothing: Positive = SMOOTHING
+    """Time constant of each of the two low-passes that smooth targets [s]."""
+    gripper: str | None = None
+    """Name of the gripper that it carries, for its mass; None for none."""
 
 
 class StandInArm(Arm):
@@ -56,11 +71,9 @@ class StandInArm(Arm):
             name: Name of the arm in messages.
 
         Raises:
-            InvalidSetup: The delay or the noise is negative, or not finite.
+            InvalidSetup: A number is invalid; see `StandInOptions`.
         """
-        for what, value, unit in (("delay", delay, "s"), ("noise", noise, "rad")):
-            if not (math.isfinite(value) and value >= 0):
-                raise InvalidSetup(f"{what} is {value!r} {unit}; valid is a finite number of at least 0.")
+        StandInOptions(delay=delay, noise=noise, seed=seed, smoothing=smoothing)
         super().__init__(name, about.arm_limits)
         self.delay = delay
         """Delay between a command and the resulting motion [s]."""
