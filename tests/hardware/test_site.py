@@ -15,6 +15,7 @@ from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper
 from rcs.errors import DeviceFault, InvalidSetup, UnknownName
 from rcs.hardware import DeviceAddress, Driver, FakeDriver, Site
 from rcs.robots.fr3 import FR3
+from rcs.robots.franka_hand import FRANKA_HAND
 
 HOME = np.array(FR3.home)
 
@@ -108,7 +109,7 @@ def test_a_device_itself_goes_into_no_file(tmp_path: Path) -> None:
             "no option of a fake device named",
         ),
         ({"fr3": {"driver": "sim", "options": {"dealy": 0.1}}}, InvalidSetup, "Did you mean 'delay'"),
-        ({"fr3/gripper": {"driver": "sim", "options": {"dealy": 0.1}}}, InvalidSetup, "Did you mean 'delay'"),
+        ({"fr3/gripper": {"driver": "sim", "options": {"delay": 0.1}}}, InvalidSetup, "no option of a fake device"),
     ],
 )
 def test_hardware_that_makes_no_sense_is_refused(hardware: Any, error: type[Exception], match: str) -> None:
@@ -145,6 +146,14 @@ class WithOptions(FakeDriver):
 
     def arm(self, address: str, about: Any, options: Any) -> FakeArm:
         return super().arm(address, about, {})
+
+
+@pytest.mark.parametrize(("driver", "shared"), [("ur", {"host": False}), ("so101", {"host": False, "timeout": 0.5})])
+def test_an_option_of_an_arm_is_its_grippers_where_the_driver_says_so(driver: str, shared: dict[str, Any]) -> None:
+    given = {"driver": driver, "address": "a", "options": {"host": False, "timeout": 0.5}}
+    site = Site.of({"fr3": given}, {"fr3": (FR3, FRANKA_HAND)})
+    assert site.arms["fr3"] == DeviceAddress.parse(given, "fr3")
+    assert site.grippers["fr3"] == DeviceAddress(driver=driver, address="a", options=shared)
 
 
 class Bare(Driver):

@@ -45,6 +45,9 @@ class Driver:
     overrides it."""
     host_times: ClassVar[HostTimes] = HostTimes()
     """Time limits of calls in that process."""
+    shares_options: ClassVar[bool] = False
+    """True if an arm's options are its end effector's, too, where both have a single entry; with False, only the option
+    `host` is."""
     gives_way: ClassVar[bool] = False
     """True if arms can yield to a push like springs. The options of `arm` then contain `compliance`, a complete
     `rcs.Compliance`, if the setup has one. With False, such a setup is refused."""

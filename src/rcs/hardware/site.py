@@ -212,7 +212,7 @@ class Site:
                 effector = robots[name][1]
                 if effector is not None and not isinstance(given, Arm):
                     kind = "grippers" if isinstance(effector, GripperDescription) else "hands"
-                    found[kind].setdefault(name, given)
+                    found[kind].setdefault(name, _beside_arm(given, name))
             else:
                 raise UnknownName("robot or camera of this setup", str(name), {*robots, *cameras, *tactile})
         arms, grippers, hands, views, skins = (found[kind] for kind in KINDS)
@@ -344,6 +344,15 @@ def _giving_way(drivers: dict[str, Driver], given: AnyDevice, robot: str, compli
             "are simulated arms and those of the driver 'franka'. Leave compliance out for a stiff arm."
         )
     return dataclasses.replace(given, options={**given.options, "compliance": compliance})
+
+
+def _beside_arm(given: Any, name: str) -> Any:
+    """Return the entry of an end effector that has none of its own, from that of its arm."""
+    if not isinstance(given, Mapping | DeviceAddress):
+        return given
+    arm = DeviceAddress.parse(given, name)
+    shared: Collection[str] = arm.options if driver_named(arm.driver).shares_options else {"host"}
+    return dataclasses.replace(arm, options={one: value for one, value in arm.options.items() if one in shared})
 
 
 def _driver(drivers: dict[str, Driver], name: str) -> Driver:

@@ -279,6 +279,7 @@ class So101Driver(Driver):
     """
 
     hosted = True
+    shares_options = True
     host_times = HostTimes(answer=2.0, open=5.0)  # arm and gripper share a line and wait for each other
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> So101Arm:
