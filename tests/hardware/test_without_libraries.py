@@ -288,6 +288,35 @@ def test_an_arm_whose_controller_refuses_its_tcp_does_not_start(monkeypatch: pyt
         arm._start_program()
 
 
+def test_a_ur_connects_without_waiting_for_its_script_as_the_library_keeps_the_interpreter(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[object] = []
+
+    class Interface:
+        FLAG_NO_WAIT = 16
+
+        def __init__(self, _address: str, _rate: float, flags: int = 1) -> None:
+            calls.append(flags)
+
+        def reuploadScript(self) -> bool:  # noqa: N802  the library's
+            calls.append("upload")
+            return True
+
+        def isProgramRunning(self) -> bool:  # noqa: N802
+            return "upload" in calls
+
+        def setWatchdog(self, _: float) -> bool:  # noqa: N802
+            return True
+
+    arm: Any = UrArm("192.0.2.1", UR5E, {})
+    monkeypatch.setattr(ur, "require_ready_for_program", lambda _: None)
+    monkeypatch.setattr(ur, "package_of", lambda *_: SimpleNamespace(RTDEControlInterface=Interface))
+    arm._receive = SimpleNamespace(getRuntimeState=lambda: 2)
+    arm._start_program()
+    assert calls == [Interface.FLAG_NO_WAIT, "upload"]
+
+
 def test_a_folder_of_hosts_that_cannot_be_used_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(hosted.FOLDER, str(tmp_path / "a" / "b"))
     assert hosted.folder().is_dir()
@@ -309,6 +338,24 @@ def test_a_servo_bus_waits_for_the_bytes_that_are_missing_yet() -> None:
     bus._wait = lambda count, deadline: waited.append(count)
     assert bus._answers([1, 2, 3], 2) == {servo: (0, bytes([7, 8])) for servo in (1, 2, 3)}
     assert waited == [24, 16, 8]
+
+
+@pytest.mark.parametrize("kind", [FrankaArm, PylibfrankaArm])
+def test_an_fr3_without_its_collision_thresholds_is_not_connected(kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise RuntimeError("the thresholds are refused")
+
+    library = SimpleNamespace(
+        RealtimeConfig=SimpleNamespace(Ignore=0, kIgnore=0),
+        Robot=lambda *_, **__: SimpleNamespace(set_collision_behavior=refuse),
+    )
+    monkeypatch.setattr(f"{kind.__module__}.package_of", lambda *_: library)
+    arm = kind("192.0.2.1", FR3, FrankaOptions())
+    with pytest.raises(RuntimeError, match="thresholds"):
+        arm._open()
+    assert not arm._has_link  # the next recovery connects again
+    arm._close()
+    assert arm._robot is None
 
 
 @pytest.mark.parametrize("has_stopped", [True, False])

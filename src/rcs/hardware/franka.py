@@ -182,8 +182,8 @@ class FrankaArm(StreamedArm):
         self._franky = franky = package_of("franka", "franky", "The driver franka needs")
         ignore = franky.RealtimeConfig.Ignore
         self._robot = connected(lambda: franky.Robot(self._address, realtime_config=ignore), self._address, "the arm")
-        self._has_link, self._led, self._problem, self._seen = True, None, "", (math.nan, 0.0)
         self._robot.set_collision_behavior(*self._options.thresholds(self._about))
+        self._has_link, self._led, self._problem, self._seen = True, None, "", (math.nan, 0.0)
 
     def _read(self) -> ArmState:
         state = self._fresh_state()

@@ -78,11 +78,11 @@ class PylibfrankaArm(StreamedArm):
         self._library = library = package_of("pylibfranka", "pylibfranka", "The backend pylibfranka needs")
         ignore = library.RealtimeConfig.kIgnore
         self._robot = connected(lambda: library.Robot(self._address, ignore), self._address, "the arm")
-        self._has_link, self._problem = True, ""
         torque, force = self._options.thresholds(self._about)
         self._robot.set_collision_behavior(torque, torque, force, force)
         self._model = self._robot.load_model()
         sys.setswitchinterval(SWITCHING)
+        self._has_link, self._problem = True, ""
 
     def _read(self) -> ArmState:
         state = self._next_state()
