@@ -106,6 +106,20 @@ def test_homing_stands_at_a_hold_and_is_refused_in_the_fault_state(robot: Virtua
         assert hand.state().opening == pytest.approx(stands, abs=0.05)
 
 
+def test_a_hold_before_the_fingers_begin_to_move_stops_them(robot: VirtualProcess, monkeypatch: pytest.MonkeyPatch):
+    with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
+        hand.command_opening(1.0)
+        wait_until(hand.has_arrived)
+        is_held = threading.Event()
+        monkeypatch.setattr(hand, "_move", lambda library, *_: is_held.wait(5.0) and library.move(0.0, 0.05))
+        hand.command_opening(0.0)
+        wait_until(lambda: hand._is_busy)
+        hand.hold()
+        is_held.set()
+        wait_until(hand.has_arrived)
+        assert hand.state().opening > 0.8
+
+
 def test_a_hand_whose_cable_was_out_is_connected_again_by_recover(robot: VirtualProcess):
     with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
         robot.tell("cut")

@@ -45,6 +45,7 @@ class FrankaHand(Gripper):
         self._wanted: tuple[float, float] | None = None  # width [m], force [N]
         self._given: tuple[float, float] | None = None  # the command in progress, or the last one
         self._is_busy = self._is_homing = False
+        self._is_held = False  # since the motion in progress was commanded
         self._ends = threading.Event()  # of one connection
         self._problem = ""
         self._threads: list[threading.Thread] = []
@@ -65,6 +66,7 @@ class FrankaHand(Gripper):
             if self._is_busy or self._wanted is not None:
                 raise WrongOrder(f"{self.name}: home was called while the fingers move; wait until has_arrived()")
             self._is_busy = self._is_homing = True
+            self._is_held = False
         try:
             self._hand.homing()
         except Exception as err:  # the library's exceptions have no common base class
@@ -142,7 +144,7 @@ class FrankaHand(Gripper):
             self._wanted = None
             is_busy = self._is_busy
             if is_busy:
-                self._given = None
+                self._given, self._is_held = None, True
         if is_busy and not self._problem:
             self._hand.stop()
 
@@ -168,6 +170,9 @@ class FrankaHand(Gripper):
         while True:
             try:
                 state = hand.state
+                with self._news:
+                    if self._is_busy and self._is_over:  # a stop that came before the library's call had no effect
+                        hand.stop()
             except Exception as err:  # noqa: BLE001 - the library's exceptions have no common base class
                 if ends.is_set():
                     return
@@ -189,7 +194,7 @@ class FrankaHand(Gripper):
                 if ends.is_set() or self._wanted is None:
                     return
                 self._given, self._wanted = self._wanted, None
-                self._is_busy = True
+                self._is_busy, self._is_held = True, False
                 width, force = self._given
             try:
                 self._move(hand, width, force)
@@ -199,13 +204,19 @@ class FrankaHand(Gripper):
                 if "aborted" not in str(err) and not ends.is_set():  # by a newer command, or by a hold
                     self._problem = f"the hand has failed to execute a command: {err}"
 
+    @property
+    def _is_over(self) -> bool:
+        """Whether a hold or a newer command ends the motion in progress."""
+        return self._is_held or self._wanted is not None
+
     def _move(self, hand: Any, width: float, force: float) -> None:
         speed, is_closing = 2.0 * self._about.closing_speed, width < self._state_now.width
         # A grasp continues until the fingers meet something, whatever the width; a move ends at an obstacle without
         # pressing on it.
-        if width > SAME and (hand.move(width, speed) or not is_closing):
+        if width > SAME and not self._is_over and (hand.move(width, speed) or not is_closing):
             return
-        hand.grasp(width, speed, force, epsilon_inner=self.max_width, epsilon_outer=self.max_width)
+        if not self._is_over:
+            hand.grasp(width, speed, force, epsilon_inner=self.max_width, epsilon_outer=self.max_width)
 
 
 def _is_same(first: tuple[float, float], second: tuple[float, float]) -> bool:
