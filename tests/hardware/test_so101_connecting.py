@@ -143,15 +143,16 @@ def test_a_gripper_that_lost_its_supply_is_switched_on_by_the_first_command_afte
     assert [event["on"] for event in events(tmp_path / "log", "torque")] == [True, False, True, False]
 
 
-def test_every_device_checks_the_calibration_that_it_was_given(virtual, tmp_path):
+def test_every_device_checks_the_calibration_that_it_was_given_and_the_longest_timeout_counts(virtual, tmp_path):
     entry = virtual.site.arms["so101"]
     driver, right = So101Driver(), entry.options["calibration"]
     wrong = {**right, "elbow_flex": {**right["elbow_flex"], "range_max": right["elbow_flex"]["range_max"] - 7}}
     with (
-        driver.arm(entry.address, SO101, {"calibration": right, "timeout": PATIENT}),
-        driver.gripper(entry.address, SO101_GRIPPER, {"timeout": PATIENT}),
+        driver.arm(entry.address, SO101, {"calibration": right, "timeout": PATIENT}) as arm,
+        driver.gripper(entry.address, SO101_GRIPPER, {}),
+        arm.link as servos,
     ):
-        pass
+        assert servos.bus.timeout == PATIENT  # the longest
     with driver.gripper(
         entry.address, SO101_GRIPPER, {"timeout": PATIENT}
     ):  # the driver of a host that stays, and without a file first

@@ -145,6 +145,7 @@ class Servos:
         self.calibration: Mapping[int, MotorCalibration] = {}
         """Calibration by servo; empty before `check`."""
         self._given: Mapping[str, MotorCalibration] | None = None
+        self._timeout = 0.0
         self.bus.open()
 
     def check(self, calibration: Mapping[str, MotorCalibration] | None, timeout: float) -> None:
@@ -152,16 +153,18 @@ class Servos:
 
         Args:
             calibration: Calibration that the servos must have, by motor; None to accept theirs.
-            timeout: Time without an answer after which servos count as lost from now on [s].
+            timeout: Time without an answer after which servos count as lost from now on [s]; the longest one given
+                counts, as devices share the bus.
 
         Raises:
             DeviceFault: A servo does not answer, or its model or calibration is not the expected one.
         """
+        self._timeout = max(self._timeout, timeout)
         if calibration is not None or not self.calibration:
-            self.bus.timeout = max(timeout, OPENING)
+            self.bus.timeout = max(self._timeout, OPENING)
             self.calibration = self._found(calibration)
             self._given = calibration
-        self.bus.timeout = timeout
+        self.bus.timeout = self._timeout
 
     def read(self) -> Reading:
         """Read all servos at once.
