@@ -105,7 +105,7 @@ class Realsense(Camera):
         try:
             self._start()
             self._failures, self._is_new = 0, True
-        except InvalidSetup:
+        except (InvalidSetup, DeviceFault):
             raise
         except RuntimeError as err:  # the library's own errors
             place = None if self._device is None else _place(_library(), self._device)
