@@ -129,6 +129,8 @@ def test_another_version_is_told_which_one_the_robot_speaks(robot: VirtualProces
     time.sleep(0.1)
     robot.tell("version", 9)
     try:
+        with pytest.raises(InvalidSetup, match="valid is a whole number from 0 to 65535"):
+            robot.tell("version", 65536)
         with Client() as other:
             assert other.connect() == bytes([1, 9, 0])
     finally:

@@ -177,6 +177,10 @@ def test_undervoltage_and_codes_are_told_by_all_until_they_are_cleared():
         wait_until(lambda: bus.ask(1, 1)[0][4] == 4)
         world.tell(["", "version", "1284"])
         assert bus.read(1, 3) == 1284
+        for words in (["", "version", "65536"], ["", "version", "1e9"], ["", "code", "128"]):
+            with pytest.raises(InvalidSetup, match="valid is a whole number from 0 to"):
+                world.tell(words)
+        assert bus.read(1, 3) == 1284
 
 
 def test_a_port_has_the_path_that_is_asked_for_and_none_that_is_taken(tmp_path):

@@ -42,6 +42,16 @@ class Fault:
         """
         return self._numbers()[0]
 
+    def whole(self, most: int) -> int:
+        """Return the value as a whole number from 0 to `most`.
+
+        Raises:
+            InvalidSetup: The value is not such a number.
+        """
+        if not (self.value.isdecimal() and int(self.value) <= most):
+            raise InvalidSetup(f"The value of {self.name} is {self.value!r}; valid is a whole number from 0 to {most}.")
+        return int(self.value)
+
     @property
     def force(self) -> tuple[float, float, float]:
         """The value as a force: three finite numbers.

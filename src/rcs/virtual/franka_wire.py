@@ -140,7 +140,7 @@ class FrankaWire(Wire):
                 raise InvalidSetup(f"The code is {fault.value}; valid are 0 to {max(Error)}.")
             self._abort(MoveStatus.REFLEX_ABORTED, [Error(int(fault.number))])
         elif fault.name == "version":
-            self._version = int(fault.number)
+            self._version = fault.whole(0xFFFF)
             self._listener.hang_up()
             self._leave()
         else:

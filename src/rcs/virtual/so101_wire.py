@@ -147,17 +147,23 @@ class So101Wire(Wire):
         robot.grasp(self._opening(self._number(5, GOAL)) * gripper.max_width, None, force)
 
     def tell(self, fault: Fault) -> None:
-        """Apply a fault: an overloaded servo, or for all servos a low voltage, errors, or another model number."""
+        """Apply a fault: an overloaded servo, or for all servos a low voltage, errors, or another model number.
+
+        Raises:
+            UnknownName: The robot has no such joint.
+            InvalidSetup: A value is invalid.
+        """
         if fault.name == "overload":
             number = 5 if fault.value == "gripper" else self._robot.joint_of(fault.value)
             self._is_overloaded[number] = True
         elif fault.name == "undervoltage":
             self._is_low = True
         elif fault.name == "code":
-            self._code = int(fault.number) & 0x7F
+            self._code = fault.whole(0x7F)
         else:
+            model = fault.whole(0xFFFF)
             for number in range(6):
-                self._set(number, MODEL_NUMBER, int(fault.number))
+                self._set(number, MODEL_NUMBER, model)
 
     def clear(self) -> None:
         """Restore the servos' voltage and model number; an overload lasts until the torque is switched off."""
