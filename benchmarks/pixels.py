@@ -24,6 +24,7 @@ import tyro
 from numpy.typing import NDArray
 
 import rcs
+from rcs._core import PixelCameras
 from rcs.envs.ports.simulated_cameras import PixelPort
 from rcs.envs.vector import VecEnv
 from rcs.sim.pixels import Pixels
@@ -76,17 +77,20 @@ def main(options: Options) -> None:
     check_frames(drawn, actions, options.cameras)
     steps_of(drawn, actions), steps_of(blind, actions)
     feed = next(port for port in drawn.stack.ports if isinstance(port, PixelPort)).feed
+    cores = [group.core for group in feed._groups if group.core is not None]
+    world, again = drawn.simulation.world.core, np.full(options.copies, PixelCameras.REPLACE, np.uint8)
     whole, without, frames = [], [], []
     for _ in range(options.rounds):
         whole.append(options.copies * options.steps / steps_of(drawn, actions))
         without.append(options.copies * options.steps / steps_of(blind, actions))
         begin = time.perf_counter()
         for _ in range(options.steps):
-            feed.draw_all()
+            for core in cores:
+                core.show(world, again)
         frames.append(options.copies * len(options.cameras) * options.steps / (time.perf_counter() - begin))
     if options.save is not None:
         save(options.save, drawn, actions, options)
-    why = feed.uses_opengl
+    why = cores[0].why_opengl
     drawn.close()
     blind.close()
     print(

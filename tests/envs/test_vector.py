@@ -285,7 +285,6 @@ def test_calls_at_the_wrong_time_are_refused() -> None:
     envs.reset(seed=0)
     envs.close()
     envs.close()
-    envs.close_extras()
     with pytest.raises(WrongOrder, match="closed"):
         envs.step(actions)
     with pytest.raises(WrongOrder, match="closed"):

@@ -80,7 +80,7 @@ def test_a_robot_in_motion_stops_when_its_policy_fails_and_its_gripper_keeps_its
         action = agent.act(observation, info)
         observation, *_, info = env.step(action)
         stops.append(observation["joints"])
-    assert isinstance(agent.error, ZeroDivisionError)
+    assert isinstance(agent._executor.error, ZeroDivisionError)
     assert action["gripper"] == 0.0
     assert np.abs(stops[-1] - stops[-10]).max() < 1e-3
     assert np.abs(observation["joint_velocities"]).max() < 0.01
@@ -91,7 +91,7 @@ def test_a_chunk_of_the_wrong_size_is_an_error_and_no_motion(env: Env) -> None:
     agent = ChunkAgent(env, odd)
     start, _ = env.reset(seed=0)
     rows = rollout(env, agent, 10)
-    assert "actions of 5 numbers; it announced 8" in str(agent.error)
+    assert "actions of 5 numbers; it announced 8" in str(agent._executor.error)
     np.testing.assert_allclose(rows[-1][1]["joints"], start["joints"], atol=2e-3)
 
 
@@ -114,7 +114,7 @@ def test_a_server_that_falls_silent_means_hold_until_it_speaks_again(
         for step in range(40):
             (policy.speaks.clear if 6 <= step < 14 else policy.speaks.set)()
             observation, *_, info = env.step(agent.act(observation, info))
-            errors.append(type(agent.error).__name__)
+            errors.append(type(agent._executor.error).__name__)
         agent.close()
     assert errors[:7] == ["NoneType"] * 7
     assert "DeadlineExceeded" in errors
@@ -239,5 +239,5 @@ def test_every_retry_is_in_a_new_session(env: Env) -> None:
     policy = Flaky()
     agent = ChunkAgent(env, policy, execution=Execution(retry=0.1))
     rollout(env, agent, 20)
-    assert agent.error is None
+    assert agent._executor.error is None
     assert len(policy.resets) == 3, "that of the episode, and one for each retry"

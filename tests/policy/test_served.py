@@ -88,7 +88,7 @@ def test_a_server_that_is_killed_means_hold_and_what_the_options_say(
         for _ in range(20):
             observation, *_, info = env.step(agent.act(observation, info))
         held = np.array(observation["joints"])
-        assert isinstance(agent.error, ConnectionLost)
+        assert isinstance(agent._executor.error, ConnectionLost)
         assert "ConnectionLost" in caplog.text
         for _ in range(10):
             observation, *_, info = env.step(agent.act(observation, info))
@@ -99,7 +99,7 @@ def test_a_server_that_is_killed_means_hold_and_what_the_options_say(
             process, _ = serve(port)
             for _ in range(20):
                 observation, *_, info = env.step(agent.act(observation, info))
-            assert agent.error is None
+            assert agent._executor.error is None
             assert np.abs(observation["joints"] - held).max() > 0.02
     finally:
         process.kill()

@@ -94,7 +94,7 @@ def test_a_held_cuboid_creeps_less_than_a_millimetre_while_the_arm_swings(name: 
     world, robot = held.world, held.robot
     before = held.cuboid_in_tcp()
     duration = 2.0 * SWING / SPEED
-    home = robot.joint_targets
+    home = np.array(robot.placement.arm.home)
     turned = []
     for step in range(round(duration / world.period)):
         robot.command_joints(home + np.eye(len(home))[0] * swing(duration, (step + 1) * world.period))

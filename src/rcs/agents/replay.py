@@ -23,10 +23,6 @@ class Replay(Agent):
         self._length = min(_lengths(self._actions), default=0)
         self._next = 0
 
-    def __len__(self) -> int:
-        """Return the number of steps."""
-        return self._length
-
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Start at the first action."""
         self._next = 0

@@ -47,11 +47,6 @@ class Rig:
         if self.arrangement not in get_args(Arrangement):
             raise InvalidSetup(f"arrangement is {self.arrangement!r}; valid: {', '.join(get_args(Arrangement))}.")
 
-    @property
-    def moving(self) -> str:
-        """Name of the part that moves, in words."""
-        return "the camera" if self.arrangement == "eye-in-hand" else "the board"
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:

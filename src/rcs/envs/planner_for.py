@@ -8,7 +8,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rcs._core import CollisionChecker
 from rcs.envs.env import Env
@@ -118,11 +118,6 @@ class ScenePlanner(Planner):
     def joints(self) -> NDArray[np.float64]:
         """The robot's joints now [rad], (dof,)."""
         return self._qpos()[self._layout.qpos].copy()
-
-    def put(self, joints: ArrayLike) -> None:
-        """Put the robot of the world at joints [rad], (dof,), to look at it; time does not pass."""
-        self._qpos()[self._layout.qpos] = joints
-        self._world.refresh()
 
     def attach(self, body: str, in_tcp: Pose | None = None) -> None:
         """Let a free body, such as a grasped object, move with the gripper.

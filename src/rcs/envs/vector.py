@@ -262,9 +262,6 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         """Let go of everything. Closing twice is harmless."""
         self._engine.close()
 
-    def close_extras(self, **kwargs: Any) -> None:
-        """Do nothing more than `close` did; gymnasium calls this."""
-
     def __str__(self) -> str:
         """Return the environment, its task and its stack, part by part."""
         return "\n".join([self._title, f"  {self.simulation}", str(self.stack)])

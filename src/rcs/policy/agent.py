@@ -191,11 +191,6 @@ class ChunkAgent(Agent):
         """The first error of the policy or its connection in this episode."""
         return self._message
 
-    @property
-    def error(self) -> Exception | None:
-        """The error of the policy or its connection because of which the robot holds."""
-        return self._executor.error
-
     def close(self) -> None:
         """End the thread and close the policy."""
         self._executor.close()

@@ -156,15 +156,6 @@ class BrowserScene:
             self._show_contacts()
         self._poses[moved] = poses[moved]
 
-    def remove(self) -> None:
-        """Take everything off the page. Removing twice is harmless."""
-        for handle in [*(handle for _, handle in self._shown.values()), *self._bodies.values()]:
-            handle.remove()
-        self._shown, self._bodies = {}, {}
-        if self._arrows is not None:
-            self._arrows.remove()
-            self._arrows = None
-
     def _look(self) -> None:
         """Compute where everything is."""
         model, seen = self._model, self._seen

@@ -120,13 +120,6 @@ class PixelFeed:
             name: {PIXELS: self._seen(group.last[i])} for group in self._groups for i, name in enumerate(group.names)
         }
 
-    def draw_all(self) -> None:
-        """Draw the newest frame of every copy and camera once more; after a `read`."""
-        uses = np.full(self._world.copies, PixelCameras.REPLACE, np.uint8)
-        for group in self._groups:
-            assert group.core is not None, "read was called"
-            group.core.show(self._world.core, uses)
-
     @property
     def stacks(self) -> dict[str, NDArray[np.uint8]]:
         """The last stack of each camera, (*leading, channels, height, width)."""
@@ -139,11 +132,6 @@ class PixelFeed:
             if group.core is None:
                 self._open(group)
             group.go_on([np.array(stacks[name]).reshape(self._shape) for name in group.names])
-
-    @property
-    def uses_opengl(self) -> str:
-        """The reason for drawing with OpenGL; empty without OpenGL, or before the first frame."""
-        return next((group.core.why_opengl for group in self._groups if group.core is not None), "")
 
     @property
     def _shape(self) -> tuple[int, int, int, int]:

@@ -191,11 +191,6 @@ class SimRobot:
         memory[..., : self.placement.arm.dof] = joints
         memory[..., -1] = 0.0
 
-    @property
-    def joint_targets(self) -> NDArray[np.float64]:
-        """Joint targets [rad], (*leading, dof), a fresh array."""
-        return self._memory[..., : self.placement.arm.dof].copy()
-
     def stop(self) -> None:
         """Brake the arm of every copy to rest within its limits; any thread may call this."""
         memory = self._memory

@@ -180,9 +180,10 @@ def test_each_physical_range_changes_the_motion(field: str) -> None:
         first = int(world.model.joint("cuboid").qposadr[0])
         world.qpos[first + 2] += 0.01
         world.qvel[-6:] = [0.5, 0.0, 0.0, 0.0, 1.0, 0.0]
-        for _ in range(10):
-            robot = env.simulation.robots[0]
-            robot.command_joints(robot.joint_targets + 0.01)
+        robot = env.simulation.robots[0]
+        start = robot.joints
+        for i in range(10):
+            robot.command_joints(start + 0.01 * (i + 1))
             world.core.advance()
         drop.append(world.qpos[first:].copy())
         push.append(world.qpos[:first].copy())
