@@ -1,1 +1,1 @@
-"""The command `rcs`: one file per verb."""
+"""The command `rcs`: a file per verb, or for those about one thing."""

@@ -1,4 +1,4 @@
-"""`rcs host`: the hosts of a site's devices, for longer than one environment."""
+"""`rcs host` and `rcs stop`: the hosts of a site's devices, for longer than one environment, and how all hold."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rcs.errors import InvalidSetup
 from rcs.hardware import Site
-from rcs.hardware.hosted import start_all
+from rcs.hardware.hosted import start_all, stop_hosts
 from rcs.hardware.site import places_of
 
 
@@ -47,3 +47,17 @@ class HostCommand:
             except KeyboardInterrupt:
                 return 0
             return 1
+
+
+@dataclass(kw_only=True)
+class StopCommand:
+    """Have the devices of all hosts of this user hold, from any terminal. Exit code 1 if a host did not answer."""
+
+    def run(self) -> int:
+        """Stop, and print what came of it."""
+        outcomes = stop_hosts()
+        for name, outcome in outcomes.items():
+            print(f"{name}: {outcome}")
+        if not outcomes:
+            print("No host is running. Devices that run in their program itself are stopped there, by Ctrl-C.")
+        return 1 if any("killed" in outcome for outcome in outcomes.values()) else 0

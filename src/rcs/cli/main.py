@@ -12,10 +12,10 @@ VERBS: Table = {
     "train": "rcs.cli.train:TrainCommand",
     "eval": "rcs.cli.eval:EvalCommand",
     "run": "rcs.cli.run:RunCommand",
-    "unblind": "rcs.cli.unblind:UnblindCommand",
+    "unblind": "rcs.cli.ledger:UnblindCommand",
     "sweep": "rcs.cli.sweep:SweepCommand",
-    "compare": "rcs.cli.compare:CompareCommand",
-    "figures": "rcs.cli.figures:FiguresCommand",
+    "compare": "rcs.cli.ledger:CompareCommand",
+    "figures": "rcs.cli.ledger:FiguresCommand",
     "data": "rcs.cli.data:VERBS",
     "calibrate": "rcs.cli.calibrate:VERBS",
     "sim": "rcs.cli.sim:SimCommand",
@@ -24,7 +24,7 @@ VERBS: Table = {
     "virtual": "rcs.cli.virtual:VirtualCommand",
     "list": "rcs.cli.list:ListCommand",
     "host": "rcs.cli.host:HostCommand",
-    "stop": "rcs.cli.stop:StopCommand",
+    "stop": "rcs.cli.host:StopCommand",
     "doctor": "rcs.cli.doctor:DoctorCommand",
 }
 

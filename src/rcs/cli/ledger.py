@@ -1,4 +1,4 @@
-"""`rcs compare`: which of the agents in a ledger is better."""
+"""`rcs unblind`, `rcs compare` and `rcs figures`: what a ledger says."""
 
 from __future__ import annotations
 
@@ -9,10 +9,28 @@ from typing import Annotated
 import tyro
 from rcs_data.cli.console import plain_console
 from rcs_data.files.durable import disk_errors, write_file
-from rcs_data.ledger import Ledger
+from rcs_data.ledger import Ledger, write_ledger_page
 from rcs_data.ledger.compare import compare, labels_of, verdicts_of
+from rcs_data.ledger.figures import write_figures
 from rcs_data.ledger.page import comparison_page
 from rich.table import Table
+
+
+@dataclass(kw_only=True)
+class UnblindCommand:
+    """Say who X and Y were in the blind comparisons of a ledger, on its pages too, from now on."""
+
+    ledger: tyro.conf.Positional[Path]
+    """Folder of the ledger, as `rcs run --blind` has made it."""
+
+    def run(self) -> int:
+        """Reveal the names, write the page, and return the exit code."""
+        console = plain_console(soft_wrap=False)
+        with Ledger(self.ledger) as ledger:
+            for blind, true in ledger.unblind():
+                console.print(f"{blind.agent} ({blind.hash}): {true.agent}, weights {true.weights or 'unknown'}")
+            console.print(f"Report: {write_ledger_page(ledger)}", soft_wrap=True)
+        return 0
 
 
 @dataclass(kw_only=True)
@@ -62,3 +80,26 @@ class CompareCommand:
 
 def _differences(differences: dict[str, tuple[object, object]]) -> str:
     return "; ".join(f"{name} is {ours} and {theirs}" for name, (ours, theirs) in differences.items())
+
+
+@dataclass(kw_only=True)
+class FiguresCommand:
+    """Draw success rates in a ledger with their 95 % intervals, as SVG, PNG and a page (extra `figures`)."""
+
+    ledger: tyro.conf.Positional[Path]
+    """Folder of the ledger, as `rcs eval --out` has it."""
+    by: str = "policy"
+    """Key that rates are grouped by: `policy`, `agent`, `task`, `robot`, `domain` (real or simulation), `steps` of
+    training, a tag such as `mix`, or a path in a condition, such as `setup.frequency` or `execution.mode`. Numbers
+    become curves, everything else bars; what else differs, checkpoints among it, is a colour each."""
+
+    def run(self) -> int:
+        """Draw, say where the files are, and return the exit code."""
+        console = plain_console(soft_wrap=False)
+        with Ledger(self.ledger) as ledger:
+            path = write_figures(ledger, self.by)
+            for sentence in ledger.damage:
+                console.print(sentence, soft_wrap=True)
+        console.print(f"Figures: {path.with_suffix('.svg')}, {path.with_suffix('.png')}", soft_wrap=True)
+        console.print(f"Page: {path}", soft_wrap=True)
+        return 0
