@@ -12,7 +12,7 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rcs.calibration.board import Board
 from rcs.calibration.detection import Detections
@@ -21,6 +21,8 @@ from rcs.spatial import Intrinsics
 
 FAR = 3.0
 """Error of a tag beyond which it does not count for a pose [px]."""
+WRONG = (1.0, 4.0)
+"""A tag is wrong if its error is larger than this [px], and than this times the median of all."""
 FLIPPED = np.deg2rad(5.0)
 """Angle between two poses from which they are two [rad]."""
 
@@ -70,6 +72,16 @@ def project(board_in_camera: NDArray[np.float64], points: NDArray[np.float64]) -
     """
     seen = points @ np.swapaxes(board_in_camera[..., :3, :3], -1, -2) + board_in_camera[..., None, :3, 3]
     return seen[..., :2] / np.where(np.abs(seen[..., 2:]) < 1e-6, 1e-6, seen[..., 2:])
+
+
+def limit_of(errors: NDArray[np.float64]) -> float:
+    """Return the error from which a tag is wrong [px], for the errors of all tags [px]."""
+    return max(WRONG[0], WRONG[1] * float(np.median(errors)))
+
+
+def rms(values: ArrayLike) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _errors(pose: NDArray[np.float64], points: Any, rays: Any, focal: float) -> NDArray[np.float64]:

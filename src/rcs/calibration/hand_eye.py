@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rcs.calibration.board import Board
-from rcs.calibration.board_pose import board_poses
+from rcs.calibration.board_pose import WRONG, board_poses, limit_of, rms
 from rcs.calibration.closed_form import rigid, start
 from rcs.calibration.fit import (
     GIVEN,
@@ -27,8 +27,6 @@ from rcs.calibration.rig import Arrangement, Rig, View
 from rcs.errors import InvalidSetup
 from rcs.spatial import Intrinsics, Pose
 
-WRONG = (1.0, 4.0)
-"""A tag is wrong if its error is larger than this [px], and than this times the median of all."""
 MOST_WRONG = 0.35
 """Share of tags that may be wrong."""
 TOO_MUCH = 1.0
@@ -147,7 +145,7 @@ def hand_eye(
     seen, wrong = every[is_right], every[~is_right]
     kept = np.unique(seen.view)
     given_off, alarms = _check_given(fit.guess, seen, robot)
-    residual = _rms(fit.tag_errors)
+    residual = rms(fit.tag_errors)
     if robot is None and (fit.robot[0] > ROBOT_OFF[0] or fit.robot[1] > ROBOT_OFF[1]):
         alarms = (
             f"the robot seems to be off by {_words(fit.robot)} in each view; usual is below {_words(ROBOT_OFF)}. It "
@@ -168,7 +166,7 @@ def hand_eye(
         right = np.isin(chosen[view].detections.ids, own.ids)
         shown = replace(chosen[view], detections=chosen[view].detections[right])
         boards.append(board_offset(without, board, shown, arrangement, intrinsics))
-    millimetres, degrees = (_rms(values) for values in zip(*boards, strict=True))
+    millimetres, degrees = (rms(values) for values in zip(*boards, strict=True))
     return HandEye(
         arrangement=arrangement,
         camera_in_mount=fit.guess.camera,
@@ -179,7 +177,7 @@ def hand_eye(
         rejected=tuple((usable[view], int(number)) for view, number in zip(wrong.view, wrong.ids, strict=True)),
         robot=fit.robot,
         residual_px=residual,
-        held_out_px=_rms(np.concatenate(held_out)),
+        held_out_px=rms(np.concatenate(held_out)),
         held_out_mm=millimetres,
         held_out_degrees=degrees,
         focal_off=float(given_off[0]),
@@ -200,7 +198,7 @@ def _fit(
     """Return the fit of the tags that are right, and which these are of all, (n,)."""
     guess = refine(start(board, views, arrangement, intrinsics), every)
     errors = tag_errors(guess, every)
-    is_right = errors < _limit(errors)
+    is_right = errors < limit_of(errors)
     while True:
         if np.mean(~is_right) > MOST_WRONG:
             raise InvalidSetup(
@@ -212,16 +210,11 @@ def _fit(
         fit = fit_with_robot(guess, seen, robot)
         # A tag that a poor robot hid shows beside the others of its view; it spoils these, so one at a time.
         worst = {view: fit.tag_errors[seen.view == view].max() for view in np.unique(seen.view)}
-        is_wrong = fit.tag_errors > _limit(fit.tag_errors)
+        is_wrong = fit.tag_errors > limit_of(fit.tag_errors)
         is_wrong &= fit.tag_errors == [worst[view] for view in seen.view]
         if not is_wrong.any():
             return fit, is_right
         is_right[is_right] = ~is_wrong
-
-
-def _limit(errors: NDArray[np.float64]) -> float:
-    """Return the error from which a tag is wrong [px]."""
-    return max(WRONG[0], WRONG[1] * float(np.median(errors)))
 
 
 def _words(robot: RobotError) -> str:
@@ -261,10 +254,6 @@ def _check_given(
             f"(standard deviation {sigma[3]:.2%}); measure a tag"
         )
     return off, tuple(alarms)
-
-
-def _rms(values: ArrayLike) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.calibration.board import Board
-from rcs.calibration.board_pose import board_poses, project
+from rcs.calibration.board_pose import board_poses, limit_of, project, rms
 from rcs.calibration.detection import Detections
 from rcs.errors import InvalidSetup
 from rcs.extras import package_of
@@ -25,8 +25,6 @@ GRID = (4, 4)
 """Columns and rows into which a picture is divided to see where corners were."""
 LEAST_COVERED = 0.6
 """Least share of the grid's fields that corners were in."""
-WRONG = (1.0, 4.0)
-"""A tag is wrong if its error is larger than this [px], and than this times the median of all."""
 FOLDS = 5
 """Parts of the pictures, each of which is left out once."""
 
@@ -82,7 +80,7 @@ def fit_intrinsics(board: Board, pictures: Sequence[Detections], size: tuple[int
         raise InvalidSetup(f"These pictures cannot tell how the camera sees: {'; '.join(lacks)}.")
     rough = _calibrated(board, usable, size)
     errors = [_errors(board, found, rough[0]) for found in usable]
-    limit = max(WRONG[0], WRONG[1] * float(np.median(np.concatenate(errors))))
+    limit = limit_of(np.concatenate(errors))
     right = [found[error < limit] for found, error in zip(usable, errors, strict=True)]
     kept = [found for found in right if len(found) >= least]
     if lacks := _lacks(board, kept, size):
@@ -96,8 +94,8 @@ def fit_intrinsics(board: Board, pictures: Sequence[Detections], size: tuple[int
     return IntrinsicsFit(
         intrinsics=intrinsics,
         sigma=sigma,
-        residual_px=_rms([_errors(board, found, intrinsics) for found in kept]),
-        held_out_px=_rms(held_out),
+        residual_px=rms(np.concatenate([_errors(board, found, intrinsics) for found in kept])),
+        held_out_px=rms(np.concatenate(held_out)),
         pictures=len(kept),
         rejected=sum(len(found) for found in usable) - sum(len(found) for found in kept),
     )
@@ -157,7 +155,3 @@ def _tilt(board: Board, found: Detections, size: tuple[int, int]) -> NDArray[np.
     poses = board_poses(board, found, usual)
     normal = poses[0].board_in_camera[:3, 2]
     return np.array([np.arctan2(normal[1], -normal[2]), np.arctan2(normal[0], -normal[2])])
-
-
-def _rms(errors: Sequence[NDArray[np.float64]]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(list(errors)) ** 2)))

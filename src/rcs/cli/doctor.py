@@ -169,17 +169,9 @@ def missing(package: str, extra: str) -> list[str]:
         need = _NEED.fullmatch(line)
         if need is None or need["extra"] != extra:
             continue
-        if not _is_installed(need["package"]):
+        if not any(importlib.metadata.Distribution.discover(name=need["package"])):
             found.append(need["package"])
             continue
         for further in re.findall(r"[\w.-]+", need["extras"] or ""):
             found += missing(need["package"], further)
     return found
-
-
-def _is_installed(package: str) -> bool:
-    try:
-        importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return False
-    return True

@@ -14,7 +14,7 @@ import simplejpeg
 
 from rcs.background_thread import BackgroundThread
 from rcs.envs.spaces import FRAMES, RGB, Observation
-from rcs.errors import DeviceFault, InvalidSetup
+from rcs.errors import InvalidSetup
 from rcs.teleop import credentials
 from rcs.teleop.device import POLL, InputDevice, Reading
 from rcs.teleop.headset_messages import FrameMessage, hand_of
@@ -76,10 +76,8 @@ class Quest(InputDevice):
                 return None
             if server.sessions != self._session:
                 self._clock, self._session = WakingClock(), server.sessions
-            try:
-                at = self._clock.host_time(1e-3 * frame.time, arrived)
-            except DeviceFault:  # the headset was asleep
-                self._clock = WakingClock()
+            at = self._clock.host_time(1e-3 * frame.time, arrived)
+            if at is None:  # the headset was asleep
                 server.counts["clock jumped"] += 1
                 return None
             at -= 0.5e-3 * frame.round_trip

@@ -109,9 +109,14 @@ def so101_leader(address: str | None = None, *, torque: bool = False) -> Leader:
     return Leader(calibration, So101Bus, torque=torque)
 
 
-def uncalibrated(address: str) -> LeaderCalibration:
-    """Return the calibration of a leader whose joints are those of the follower."""
-    zeros = (0.0,) * len(ARM)
+def uncalibrated(address: str, servos: tuple[int, ...] = SERVOS) -> LeaderCalibration:
+    """Return the calibration of a leader whose joints are those of the follower.
+
+    Args:
+        address: Its serial port.
+        servos: Numbers of its servos, the gripper's last.
+    """
+    zeros = (0.0,) * (len(servos) - 1)
     return LeaderCalibration(
-        address=address, signs=(1,) * len(ARM), offsets=zeros, near=zeros, closed=0.0, opened=1.0, servos=SERVOS
+        address=address, signs=(1,) * len(zeros), offsets=zeros, near=zeros, closed=0.0, opened=1.0, servos=servos
     )

@@ -184,11 +184,9 @@ class _Relay:
                 self.counts["disordered"] += 1
             else:
                 self._number, self._sent = number, at
-                try:
-                    return self._clock.host_time(at, arrived), devices
-                except DeviceFault:  # the other machine was asleep
-                    self._clock = WakingClock()
-                    self.counts["clock jumped"] += 1
+                if (here := self._clock.host_time(at, arrived)) is not None:
+                    return here, devices
+                self.counts["clock jumped"] += 1  # the other machine was asleep
         return None
 
     def close(self) -> None:

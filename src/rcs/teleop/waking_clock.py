@@ -17,24 +17,31 @@ SURE = 3.0
 
 
 class WakingClock:
-    """Maps times of a machine's clock to the host's, as `DeviceClock`, and notes that the machine has slept."""
+    """Maps times of a machine's clock to the host's, as `DeviceClock`, and begins anew after the machine has slept."""
 
     def __init__(self) -> None:
+        self._begin()
+
+    def _begin(self) -> None:
         self._clock = DeviceClock()
         self._since, self._late = math.inf, math.inf
 
-    def host_time(self, device_time: float, arrived: float) -> float:
+    def host_time(self, device_time: float, arrived: float) -> float | None:
         """Return the host's time of a moment [s]; arguments as of `DeviceClock.host_time`.
 
-        Raises:
-            DeviceFault: The clock has gone back, jumped ahead or stood still; make a new one.
+        None if the clock has gone back, jumped ahead or stood still; the next moment is the first of another clock.
         """
-        at = self._clock.host_time(device_time, arrived)
+        try:
+            at = self._clock.host_time(device_time, arrived)
+        except DeviceFault:
+            self._begin()
+            return None
         late = arrived - at
         if late < LATE:
             self._since = self._late = math.inf
         elif not abs(late - self._late) <= ALIKE:
             self._since, self._late = arrived, late
         elif arrived - self._since > SURE:
-            raise DeviceFault(f"the device's clock has stood still for {late:.1f} s")
+            self._begin()
+            return None
         return at

@@ -62,14 +62,4 @@ class LeaderCommand:
         if self.leader == "so101_leader":
             return uncalibrated(self.port), So101Bus
         servos = self.servos or tuple(range(1, arm.dof + 2))
-        zeros = (0.0,) * (len(servos) - 1)
-        draft = LeaderCalibration(
-            address=self.port,
-            signs=tuple(1 for _ in zeros),
-            offsets=zeros,
-            near=zeros,
-            closed=0.0,
-            opened=1.0,
-            servos=servos,
-        )
-        return replace(draft, baud=self.baud), connect
+        return replace(uncalibrated(self.port, servos), baud=self.baud), connect

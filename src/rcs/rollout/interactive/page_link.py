@@ -21,7 +21,6 @@ import msgspec
 from msgspec import Meta
 from rcs_data.files.closing import Closing
 
-from rcs.errors import DeviceFault
 from rcs.extras import package_of
 from rcs.teleop.keyboard import FASTER, MOTIONS, SLOWER
 from rcs.teleop.waking_clock import WakingClock
@@ -185,10 +184,8 @@ class PageLink(Closing):
         held = frozenset(beat.keys) & frozenset(CODES.values())
         self.damaged += len(beat.keys) > len(held)
         with self._news:
-            try:
-                at = own.clock.host_time(1e-3 * beat.time, arrived)
-            except DeviceFault:  # the computer of the page was asleep
-                own.clock = WakingClock()
+            at = own.clock.host_time(1e-3 * beat.time, arrived)
+            if at is None:  # the computer of the page was asleep
                 return
             risen = sorted(held - own.held)
             own.time, own.is_seen, own.held = at, beat.is_seen, held
