@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -168,10 +169,14 @@ def collect(
             numbers = _numbers(collection, progress, taken, later)
             try:
                 if is_here:
-                    yield from _collect_here(collection, writer, env, supervisor, numbers, progress)
+                    making = _here(collection, writer, env, supervisor, numbers, progress)
                 else:
                     env.close()
-                    yield from _collect_in_pool(collection, writer, numbers, progress)
+                    making = _elsewhere(collection, writer, numbers)
+                with closing(making):
+                    for attempt in making:
+                        _count(attempt, collection, progress)
+                        yield attempt
                 if unordered.exists() and not progress.is_interrupted:
                     _remove_surplus(collection, writer, progress)
                     unordered.unlink()
@@ -228,42 +233,24 @@ def _require_enough(collection: Collection, progress: Progress) -> None:
         )
 
 
-def _collect_here(
+def _here(
     collection: Collection,
     writer: DatasetWriter,
     env: Env,
     supervisor: Supervisor | None,
     numbers: Iterator[int],
     progress: Progress,
-) -> Iterator[Attempt]:
-    collector = Collector(collection, writer, env, supervisor)
-    try:
+) -> Generator[Attempt]:
+    """Make attempts in this process, each again after a fault of real devices."""
+    with closing(Collector(collection, writer, env, supervisor)) as collector:
         for number in numbers:
-            if (attempt := _made(collector, number, progress)) is None:
-                return
-            _count(attempt, collection, progress)
-            yield attempt
-    finally:
-        collector.close()
-
-
-def _made(collector: Collector, number: int, progress: Progress) -> Attempt | None:
-    """Make an attempt, again after each fault of real devices; None if the collection is interrupted before."""
-    while not progress.is_interrupted:
-        collector.prepare(number)
-        if progress.is_interrupted:  # while somebody placed the objects
-            break
-        if (attempt := collector.attempt(number)) is not None:
-            return attempt
-    return None
-
-
-def _collect_in_pool(
-    collection: Collection, writer: DatasetWriter, numbers: Iterator[int], progress: Progress
-) -> Iterator[Attempt]:
-    for attempt in _attempts(collection, writer, numbers):
-        _count(attempt, collection, progress)
-        yield attempt
+            while not progress.is_interrupted:
+                collector.prepare(number)
+                if progress.is_interrupted:  # while somebody placed the objects
+                    break
+                if (attempt := collector.attempt(number)) is not None:
+                    yield attempt
+                    break
 
 
 def _remove_surplus(collection: Collection, writer: DatasetWriter, progress: Progress) -> None:
@@ -279,7 +266,8 @@ def _remove_surplus(collection: Collection, writer: DatasetWriter, progress: Pro
     progress.kept = len(names) - len(numbers[most:])
 
 
-def _attempts(collection: Collection, writer: DatasetWriter, numbers: Iterator[int]) -> Iterator[Attempt]:
+def _elsewhere(collection: Collection, writer: DatasetWriter, numbers: Iterator[int]) -> Generator[Attempt]:
+    """Make attempts in processes of this machine, or on a cluster."""
     if collection.ray is None:
         with WorkerPool(partial(_worker, collection), collection.workers) as pool:
             yield from pool.map(numbers)

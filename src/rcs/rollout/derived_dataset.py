@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import zlib
 from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -197,8 +198,5 @@ def derive(recipe: Derivation, out: Path, info: DatasetInfo, workers: int) -> It
             with WorkerPool(make, processes) as pool:
                 yield from pool.map(iter(numbers))
             return
-        worker = make()
-        try:
+        with closing(make()) as worker:
             yield from map(worker.attempt, numbers)
-        finally:
-            worker.close()
