@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -115,7 +116,7 @@ def reexecute(
             physics = setup = seen_as(_following(setup or setup_of(dataset, trust=trust)), None, looks_seed)
         except InvalidSetup as err:
             raise err if setup is not None else InvalidSetup(f"{err} Or give a setup with a robot and a task.") from err
-    make = _Execute(kind=kind, only_success=only_success, grace=grace)
+    make = partial(_execute, kind=kind, only_success=only_success, grace=grace)
     recipe = Derivation(kind=kind, source=Path(source), physics=physics, setup=setup, looks_seed=looks_seed, make=make)
     env, _ = recipe.open()
     try:
@@ -148,79 +149,79 @@ def _following(setup: Setup) -> Setup:
     return setup
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Execute:
-    """Makes one episode."""
-
-    kind: Kind
-    only_success: bool
-    grace: float
-
-    def __call__(self, maker: EpisodeMaker, episode: EpisodeRecord) -> ReexecutionResult:
-        try:
-            with maker.recorder.discard_on_error():
-                return self._execute(maker, episode)
-        except InvalidSetup as err:
-            if self.kind == "actions":
-                raise
-            # Joints out of limits, missing poses or an explosion concern this episode only.
-            maker.recorder.forget_next()
-            return ReexecutionResult(
-                episode_id=episode.id, recorded_success=episode.success, success=False, problem=str(err)
-            )
-
-    def _execute(self, maker: EpisodeMaker, episode: EpisodeRecord) -> ReexecutionResult:
-        agent, start, most, compare = (self._states if self.kind == "states" else self._actions)(maker, episode)
-        errors: dict[str, list[float]] = {}
-        last: Step | None = None
-        with closing(maker.play(episode, agent, start, most)) as steps:
-            for last in steps:
-                for name, error in compare(last).items():
-                    errors.setdefault(name, []).append(error)
-        assert last is not None, "the reset always yields"
-        result = ReexecutionResult(
-            episode_id=episode.id,
-            recorded_success=episode.success,
-            success=bool(last.info.get("success", False)),
-            recorded_steps=episode.length - 1,
-            steps=last.row,
-            errors=errors,
-        )
-        if result.success or not self.only_success:
-            failure = None if result.success else "replay"
-            more = {"errors": result.summary(), "success": episode.success}
-            outcome = {"failure": failure, "reward": last.reward, **maker.outcome(episode, more)}
-            maker.recorder.finish(result.success, outcome)
-        else:
-            maker.recorder.discard()
-        return result
-
-    def _actions(self, maker: EpisodeMaker, episode: EpisodeRecord) -> _Plan:
-        """Execute the recorded actions from the first recorded state."""
-        env, states = maker.env, maker.transfer(episode.sim_state())
-        before = [*_restored(env, states)]
-        agent = Replay(recorded(episode, ACTION, env.stack.action_space))
-        return agent, {"state": states[0]}, len(states) - 1, lambda step: deviation(before[step.row], poses_of(env))
-
-    def _states(self, maker: EpisodeMaker, episode: EpisodeRecord) -> _Plan:
-        """Follow the recorded joints and openings; the objects are where they were recorded."""
-        setup, simulation = maker.env.setup, maker.env.simulation
-        motion = RecordedMotion(episode, simulation.robots, setup.binary_gripper, setup.frequency)
-        start: dict[str, Any] = {"robot": motion.start()}
-        if simulation.task.object_poses():
-            if OBJECTS not in episode.outcome:
-                raise InvalidSetup("The objects' poses are unknown.")
-            start[OBJECTS] = episode.outcome[OBJECTS]
-
-        def compare(step: Step) -> dict[str, float]:
-            time = step.row / setup.frequency
-            return {"joints": motion.error(step.observation, time)} if time <= motion.duration else {}
-
-        return motion, start, int(np.ceil((motion.duration + self.grace) * setup.frequency - 1e-9)), compare
-
-
 _Plan = tuple[Agent, Mapping[str, Any], int, Callable[[Step], Mapping[str, float]]]
 """Agent, options of the reset, largest number of steps, and the deviations of a step."""
+
+
+def _execute(
+    maker: EpisodeMaker, episode: EpisodeRecord, *, kind: Kind, only_success: bool, grace: float
+) -> ReexecutionResult:
+    """Make one episode."""
+    try:
+        with maker.recorder.discard_on_error():
+            plan = _states(maker, episode, grace) if kind == "states" else _actions(maker, episode)
+            return _executed(maker, episode, plan, only_success)
+    except InvalidSetup as err:
+        if kind == "actions":
+            raise
+        # Joints out of limits, missing poses or an explosion concern this episode only.
+        maker.recorder.forget_next()
+        return ReexecutionResult(
+            episode_id=episode.id, recorded_success=episode.success, success=False, problem=str(err)
+        )
+
+
+def _executed(maker: EpisodeMaker, episode: EpisodeRecord, plan: _Plan, only_success: bool) -> ReexecutionResult:
+    """Make an episode as planned, and keep it if it is wanted."""
+    agent, start, most, compare = plan
+    errors: dict[str, list[float]] = {}
+    last: Step | None = None
+    with closing(maker.play(episode, agent, start, most)) as steps:
+        for last in steps:
+            for name, error in compare(last).items():
+                errors.setdefault(name, []).append(error)
+    assert last is not None, "the reset always yields"
+    result = ReexecutionResult(
+        episode_id=episode.id,
+        recorded_success=episode.success,
+        success=bool(last.info.get("success", False)),
+        recorded_steps=episode.length - 1,
+        steps=last.row,
+        errors=errors,
+    )
+    if result.success or not only_success:
+        failure = None if result.success else "replay"
+        more = {"errors": result.summary(), "success": episode.success}
+        outcome = {"failure": failure, "reward": last.reward, **maker.outcome(episode, more)}
+        maker.recorder.finish(result.success, outcome)
+    else:
+        maker.recorder.discard()
+    return result
+
+
+def _actions(maker: EpisodeMaker, episode: EpisodeRecord) -> _Plan:
+    """Execute the recorded actions from the first recorded state."""
+    env, states = maker.env, maker.transfer(episode.sim_state())
+    before = [*_restored(env, states)]
+    agent = Replay(recorded(episode, ACTION, env.stack.action_space))
+    return agent, {"state": states[0]}, len(states) - 1, lambda step: deviation(before[step.row], poses_of(env))
+
+
+def _states(maker: EpisodeMaker, episode: EpisodeRecord, grace: float) -> _Plan:
+    """Follow the recorded joints and openings; the objects are where they were recorded."""
+    setup, simulation = maker.env.setup, maker.env.simulation
+    motion = RecordedMotion(episode, simulation.robots, setup.binary_gripper, setup.frequency)
+    start: dict[str, Any] = {"robot": motion.start()}
+    if simulation.task.object_poses():
+        if OBJECTS not in episode.outcome:
+            raise InvalidSetup("The objects' poses are unknown.")
+        start[OBJECTS] = episode.outcome[OBJECTS]
+
+    def compare(step: Step) -> dict[str, float]:
+        time = step.row / setup.frequency
+        return {"joints": motion.error(step.observation, time)} if time <= motion.duration else {}
+
+    return motion, start, int(np.ceil((motion.duration + grace) * setup.frequency - 1e-9)), compare
 
 
 def poses_of(env: Env) -> dict[str, NDArray[np.float64]]:

@@ -100,39 +100,35 @@ def _render(maker: EpisodeMaker, episode: EpisodeRecord) -> RerenderResult:
     states = episode.sim_state()
     simulation.begin(EpisodeRandom(episode.seed or 0, 0))
     port = next((port for port in maker.env.stack.ports if isinstance(port, SimCameraPort)), None)
-    rows, fresh = _RecordedRows(episode, info), _FreshFrames(port, info)
+    rows, fresh = _recorded_rows(episode, info), _FreshFrames(port, info)
     with maker.writer.episode(episode.id, seed=episode.seed, instruction=episode.instruction) as made:
-        for i, state in enumerate(maker.transfer(states)):
+        for i, (state, (row, times)) in enumerate(zip(maker.transfer(states), rows, strict=True)):
             world.core.set_state(state)
             world.refresh()
             if simulation.frame_clock is not None:  # the first row always has a frame
                 simulation.frame_clock.steps = np.array([round(float(world.time) * world.frequency) if i else 0])
-            made.add({**rows.at(i), **fresh.read(rows.capture_times(i))}, states[i])
+            made.add({**row, **fresh.read(times)}, states[i])
         made.finish(episode.success, {**episode.outcome, **maker.outcome(episode)})
     return RerenderResult(episode_id=episode.id, rows=len(states))
 
 
-class _RecordedRows:
-    """The rows of a recorded episode, reduced to the features of another dataset."""
+def _recorded_rows(episode: EpisodeRecord, info: DatasetInfo) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Return each row of an episode, and the capture times of new frames in it by camera [s], None where unknown.
 
-    def __init__(self, episode: EpisodeRecord, info: DatasetInfo) -> None:
-        """Read all but the frames of rendered cameras; images stay encoded."""
-        drawn = camera_names(info)
-        recorded = {feature.key: feature for feature in episode.info.features}
-        kept = [f for f in info.features if f.key in recorded and not is_of_camera(f.key, drawn)]
-        self._columns = {f.key: _column(episode, f) for f in kept}
-        # A new frame shows its row's state, so its capture time is that of the row.
-        ends = self._columns.get(TIME_MONOTONIC, [None] * episode.length)
-        own = {name: time_key(name) for name in drawn}
-        self._times = {name: _column(episode, recorded[key]) if key in recorded else ends for name, key in own.items()}
-
-    def at(self, row: int) -> dict[str, Any]:
-        """Return the values of a row."""
-        return {key: column[row] for key, column in self._columns.items()}
-
-    def capture_times(self, row: int) -> dict[str, Any]:
-        """Return the capture time of a new frame of each rendered camera in a row [s]; None if unknown."""
-        return {name: times[row] for name, times in self._times.items()}
+    Rows are reduced to the features of another dataset, less the frames of rendered cameras; images stay encoded.
+    """
+    drawn = camera_names(info)
+    recorded = {feature.key: feature for feature in episode.info.features}
+    kept = [f for f in info.features if f.key in recorded and not is_of_camera(f.key, drawn)]
+    columns = {f.key: _column(episode, f) for f in kept}
+    # A new frame shows its row's state, so its capture time is that of the row.
+    ends = columns.get(TIME_MONOTONIC, [None] * episode.length)
+    own = {name: time_key(name) for name in drawn}
+    times = {name: _column(episode, recorded[key]) if key in recorded else ends for name, key in own.items()}
+    return (
+        ({key: column[i] for key, column in columns.items()}, {name: column[i] for name, column in times.items()})
+        for i in range(episode.length)
+    )
 
 
 class _FreshFrames:
