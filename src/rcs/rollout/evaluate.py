@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from rcs_data.ledger import Ledger, Row
-from rcs_data.ledger.condition import key_of, named
 from rcs_data.ledger.ledger import FILMS_FOLDER
 
 from rcs.agents import Agent, agent_for
@@ -75,14 +74,15 @@ class Evaluator:
         """Run one episode."""
         if self._film is None or self._films is None:
             return self._attempt(number)
-        with new_film(self._films / f"{self._name_of(number)}.mp4") as draft, self._film.into(draft):
+        name = self._evaluation.name_of(self.condition, number)
+        with new_film(self._films / f"{name}.mp4") as draft, self._film.into(draft):
             return self._attempt(number)
 
     def _attempt(self, number: int) -> Attempt:
         began = time.perf_counter()
         with nullcontext() if self._recorder is None else self._recorder.discard_on_error():
             if self._recorder is not None:
-                name = f"{episode_id(number)}-{self._name_of(number)}"  # readers sort by it
+                name = f"{episode_id(number)}-{self._evaluation.name_of(self.condition, number)}"  # readers sort by it
                 self._recorder.name_next(self._recorder.free_name(name))
             result = run_episode(self._env, self._agent, seed=self._evaluation.seed_of(number), judge=self._judge)
             if self._recorder is not None:
@@ -105,10 +105,6 @@ class Evaluator:
             recorder.discard()
         else:
             recorder.finish(result.success, {"attempt": number, **result.outcome()})
-
-    def _name_of(self, number: int) -> str:
-        key = key_of(self.condition, self._evaluation.seed_of(number))
-        return named(key, self._evaluation.repeat_of(number))
 
     def close(self) -> None:
         """Close agent, film and environment, whatever fails."""

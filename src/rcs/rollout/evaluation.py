@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rcs_data.ledger import Pairs
+from rcs_data.ledger.condition import key_of, named
 from rcs_data.options import require_whole
 from rcs_data.read.verdicts import wilson_interval
 
@@ -96,6 +97,15 @@ class Evaluation:
     def seed_of(self, number: int) -> int:
         """Return the seed of an episode."""
         return UNSEEN + seed_of(self.seed, number % self.episodes)
+
+    def name_of(self, condition: str, number: int) -> str:
+        """Return the name of an episode: of its row, its film and its recording.
+
+        Args:
+            condition: The hash of its condition.
+            number: Its number.
+        """
+        return named(key_of(condition, self.seed_of(number)), self.repeat_of(number))
 
 
 @dataclass(kw_only=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from rcs_data.files.closing import Closing
 from rcs_data.ledger import Condition, Ledger, Pairs, Row
-from rcs_data.ledger.condition import key_of, named
+from rcs_data.ledger.condition import key_of
 
 from rcs.agents.identity import Identity, code_of
 from rcs.devices import lookup
@@ -166,14 +166,9 @@ class Logbook(Closing):
             self._ledger = Ledger.open(self._evaluation.out)
         return self._ledger
 
-    def name_of(self, number: int) -> str:
-        """Return the name of an episode, by its number: of its row, its film and its recording."""
-        key = key_of(self.hash, self._evaluation.seed_of(number))
-        return named(key, self._evaluation.repeat_of(number))
-
     def row_of(self, number: int) -> Row | None:
         """Return the row of an episode, by its number; None if it is not there."""
-        return None if self._ledger is None else self._ledger.rows.get(self.name_of(number))
+        return None if self._ledger is None else self._ledger.rows.get(self._evaluation.name_of(self.hash, number))
 
     def take(self, summary: Summary) -> None:
         """Add the episodes that are there, and not in a summary yet, to it."""
