@@ -290,12 +290,7 @@ def verify(rig: Rig, board: Board, views: Sequence[View]) -> Verification:
     off = [board_offset(guess, board, view, rig.arrangement, rig.intrinsics) for view in usable]
     millimetres, degrees = (float(np.median(values)) for values in zip(*off, strict=True))
     pixels = tag_errors(guess, Sightings.of(board, usable, rig.arrangement, rig.intrinsics))
-    return Verification(
-        views=len(usable),
-        pixels=float(np.median(pixels)),
-        millimetres=millimetres,
-        degrees=degrees,
-    )
+    return Verification(views=len(usable), pixels=float(np.median(pixels)), millimetres=millimetres, degrees=degrees)
 
 
 def board_offset(

@@ -46,10 +46,7 @@ class HomeCommand:
         if not site.arms:
             raise InvalidSetup(f"{self.site} has no arms.")
         setup = Setup(
-            task="Free",
-            robot=self.robot or robot_of(site),
-            end_effector=self.end_effector,
-            max_episode_steps=None,
+            task="Free", robot=self.robot or robot_of(site), end_effector=self.end_effector, max_episode_steps=None
         )
 
         def ask(question: str) -> bool:

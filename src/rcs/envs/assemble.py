@@ -12,12 +12,7 @@ from gymnasium.vector import AutoresetMode
 from rcs.envs import spaces as keys
 from rcs.envs.control_layers import layers_of, limit_step, native_space, require_native
 from rcs.envs.env import Env
-from rcs.envs.layers import (
-    LateActions,
-    Layer,
-    PointClouds,
-    WristCamera,
-)
+from rcs.envs.layers import LateActions, Layer, PointClouds, WristCamera
 from rcs.envs.parts import Parts
 from rcs.envs.ports.camera import CameraPort, FreshFrames
 from rcs.envs.ports.loads import PrivilegedPort, SimContactPort, SimLoadPort

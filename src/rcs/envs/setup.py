@@ -35,9 +35,7 @@ def _task(given: str | type[Task]) -> str:
     return lookup.name_of("task", given)
 
 
-def _robot(
-    given: str | ArmDescription | Mapping[str, str | ArmDescription],
-) -> str | Mapping[str, str]:
+def _robot(given: str | ArmDescription | Mapping[str, str | ArmDescription]) -> str | Mapping[str, str]:
     if isinstance(given, Mapping):
         return {str(name): lookup.name_of("arm", arm) for name, arm in given.items()}
     return lookup.name_of("arm", given)
@@ -47,9 +45,7 @@ def _options(given: Any) -> Mapping[str, Any]:
     return given.to_json() if isinstance(given, Record) else given
 
 
-def _cameras(
-    given: Cameras | str | bool | Sequence[str] | Mapping[str, CameraMount] | None,
-) -> Cameras:
+def _cameras(given: Cameras | str | bool | Sequence[str] | Mapping[str, CameraMount] | None) -> Cameras:
     return Cameras.of(given)
 
 

@@ -337,11 +337,7 @@ class ServedPolicy:
         try:
             options = {} if self.described_in is None else {"metadata": _described(Path(self.described_in), v)}
             return v.connect(
-                self.address,
-                token=os.environ.get(TOKEN),
-                timeout=self.timeout,
-                certificate=self.certificate,
-                **options,
+                self.address, token=os.environ.get(TOKEN), timeout=self.timeout, certificate=self.certificate, **options
             )
         except v.InvalidInput as err:
             raise InvalidSetup(str(err)) from err

@@ -254,12 +254,7 @@ def fitted(setup: Setup, metadata: v.Metadata, given: Collection[str] = ()) -> S
 
 
 def policy_observation(
-    observation: Observation,
-    needs: v.Metadata,
-    *,
-    time: float,
-    instruction: str,
-    session: str,
+    observation: Observation, needs: v.Metadata, *, time: float, instruction: str, session: str
 ) -> v.Observation:
     """Return an observation as a policy sees it: what its metadata name, or all that a robot has where they name none.
 

@@ -33,12 +33,7 @@ class PolicyAgent(Agent):
     """
 
     def __init__(
-        self,
-        mean: Callable[[Any], Any],
-        layout: FlatLayout,
-        weights: str | None = None,
-        *,
-        rate: float | None = None,
+        self, mean: Callable[[Any], Any], layout: FlatLayout, weights: str | None = None, *, rate: float | None = None
     ) -> None:
         """Take a policy.
 

@@ -30,10 +30,7 @@ FR3: Final = ArmDescription(
     # libfranka's examples with contact; those of free motion are 20 N and 25 Nm. The vendor publishes no figure of its
     # observer; the time constant is ours.
     collision=CollisionLimits(
-        joint_torque=(20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0),
-        force=100.0,
-        moment=100.0,
-        time_constant=0.005,
+        joint_torque=(20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0), force=100.0, moment=100.0, time_constant=0.005
     ),
     # Vendor's data sheet: maximum reach 855 mm.
     workspace_reach=0.855,

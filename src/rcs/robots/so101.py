@@ -45,9 +45,7 @@ SO101: Final = ArmDescription(
         "Feetech STS3215 data sheet: speed, torque; table of registers: overload protection",
     ),
     menagerie=MenagerieVisuals.of(
-        "robotstudio_so101",
-        "so101",
-        {name: name for name in ("base", "shoulder", "upper_arm", "lower_arm", "wrist")},
+        "robotstudio_so101", "so101", {name: name for name in ("base", "shoulder", "upper_arm", "lower_arm", "wrist")}
     ),
 )
 """The SO101 arm with five joints."""

@@ -84,10 +84,7 @@ class RayPool(Closing):
         self._open = ExitStack()
         self._ray = self._open.enter_context(connected(address))
         self._task = self._ray.remote(
-            num_cpus=1,
-            max_retries=_RETRIES,
-            scheduling_strategy="SPREAD",
-            runtime_env={"env_vars": _ONE_THREAD},
+            num_cpus=1, max_retries=_RETRIES, scheduling_strategy="SPREAD", runtime_env={"env_vars": _ONE_THREAD}
         )(_attempt)
         path = [folder or os.getcwd() for folder in sys.path]
         self._source = _Source(uuid.uuid4().hex, path, _versions(), self._ray.put((make, outbox, agent, files)))

@@ -80,11 +80,7 @@ class ShowBoard(Free):
         width, height = options.board.size
         picture = options.board.picture(PIXELS_PER_CELL)
         texture = spec.add_texture(
-            name=BOARD,
-            type=mujoco.mjtTexture.mjTEXTURE_2D,
-            width=picture.shape[1],
-            height=picture.shape[0],
-            nchannel=3,
+            name=BOARD, type=mujoco.mjtTexture.mjTEXTURE_2D, width=picture.shape[1], height=picture.shape[0], nchannel=3
         )
         texture.data = np.repeat(picture[..., None], 3, axis=-1).tobytes()
         material = spec.add_material(name=BOARD, specular=0.0, shininess=0.0)

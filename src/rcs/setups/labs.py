@@ -98,7 +98,5 @@ XARM7: Final = Lab(
     end_effector="tilburg_hand",
     # The paper's 60 x 30 cm, the long side across the table.
     area=Area(center=(0.5, 0.0), size=(0.30, 0.60), large_center=(0.425, 0.0), large_size=(0.35, 0.70)),
-    cameras={
-        "front": CameraMount(camera="realsense_d435i", optical=looking((1.35, 0.0, 0.60), (0.40, 0.0, 0.12))),
-    },
+    cameras={"front": CameraMount(camera="realsense_d435i", optical=looking((1.35, 0.0, 0.60), (0.40, 0.0, 0.12)))},
 )

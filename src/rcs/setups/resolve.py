@@ -317,12 +317,7 @@ def _cameras_in(part: Description, prefix: str) -> Iterator[tuple[str, CameraPla
         camera = _description(name, model, i)
         yield (
             name,
-            CameraPlacement(
-                name=name,
-                camera=camera,
-                parent_body=prefix + body,
-                optical_in_parent=Mount.of(optical),
-            ),
+            CameraPlacement(name=name, camera=camera, parent_body=prefix + body, optical_in_parent=Mount.of(optical)),
         )
 
 

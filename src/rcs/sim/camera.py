@@ -190,13 +190,7 @@ class SimCameras:
         time = np.broadcast_to(np.asarray(self.world.time, np.float64), self.world.leading)
         return np.concatenate([time[..., None], self.world.qpos], axis=-1)
 
-    def _frame(
-        self,
-        i: int,
-        drawn: _Drawn,
-        calibration: FrameArrays,
-        moment: NDArray[np.float64],
-    ) -> FrameArrays:
+    def _frame(self, i: int, drawn: _Drawn, calibration: FrameArrays, moment: NDArray[np.float64]) -> FrameArrays:
         """Return the whole frame of a camera, with noise if enabled."""
         frame: FrameArrays = {"rgb": drawn.rgb, **calibration}
         if drawn.depth is not None:

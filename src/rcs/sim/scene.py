@@ -173,10 +173,7 @@ class Scene:
         scene._add_room()
         scene._add_lights()
         spec.worldbody.add_camera(
-            name=OVERVIEW,
-            pos=OVERVIEW_EYE,
-            xyaxes=_axes_looking(OVERVIEW_EYE, OVERVIEW_TARGET),
-            fovy=42,
+            name=OVERVIEW, pos=OVERVIEW_EYE, xyaxes=_axes_looking(OVERVIEW_EYE, OVERVIEW_TARGET), fovy=42
         )
         return scene
 

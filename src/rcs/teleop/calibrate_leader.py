@@ -75,12 +75,7 @@ def calibrate_leader(
         raise Refused(f"The gripper's servo moved by {abs(opened - closed):.3f} rad only; begin again.")
     offsets = np.array(arm.home) - np.array(signs) * start[:-1]
     return replace(
-        draft,
-        signs=tuple(signs),
-        offsets=tuple(offsets.tolist()),
-        near=tuple(arm.home),
-        closed=closed,
-        opened=opened,
+        draft, signs=tuple(signs), offsets=tuple(offsets.tolist()), near=tuple(arm.home), closed=closed, opened=opened
     )
 
 

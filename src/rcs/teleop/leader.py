@@ -162,11 +162,7 @@ class Leader(InputDevice):
     has_clutch = False
 
     def __init__(
-        self,
-        calibration: LeaderCalibration,
-        connect: Callable[[LeaderCalibration], LeaderBus],
-        *,
-        torque: bool = False,
+        self, calibration: LeaderCalibration, connect: Callable[[LeaderCalibration], LeaderBus], *, torque: bool = False
     ) -> None:
         """Remember how to connect.
 

@@ -10,14 +10,7 @@ import time
 from collections.abc import Collection
 
 from rcs.errors import DeviceFault
-from rcs.teleop.terminal_keys import (
-    ASK,
-    ASK_FOR_PROTOCOL,
-    BEGIN_PROTOCOL,
-    END_PROTOCOL,
-    KeyEvent,
-    TerminalKeys,
-)
+from rcs.teleop.terminal_keys import ASK, ASK_FOR_PROTOCOL, BEGIN_PROTOCOL, END_PROTOCOL, KeyEvent, TerminalKeys
 
 HELD = 0.15
 """Time for which a key counts as held without kitty's protocol [s]; a held key repeats about every 0.03 s."""

@@ -82,12 +82,7 @@ class ArmContract(MotionContract[Arm]):
                 assert values.shape == (arm.dof,)
                 assert np.isfinite(values).all()
             assert (limits.joint_lower < limits.joint_upper).all()
-            for values in (
-                limits.joint_velocity,
-                limits.joint_acceleration,
-                limits.joint_jerk,
-                limits.joint_effort,
-            ):
+            for values in (limits.joint_velocity, limits.joint_acceleration, limits.joint_jerk, limits.joint_effort):
                 assert values.shape in ((arm.dof,), (0,))
                 assert (values > 0).all()
             joints = self.position(arm)

@@ -10,17 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from rcs.envs.layers.layer import Layer
-from rcs.envs.spaces import (
-    DEPTH,
-    DISTORTION,
-    EXTRINSICS,
-    FRAMES,
-    INTRINSICS,
-    POINTS,
-    TQUAT,
-    Observation,
-    frame_space,
-)
+from rcs.envs.spaces import DEPTH, DISTORTION, EXTRINSICS, FRAMES, INTRINSICS, POINTS, TQUAT, Observation, frame_space
 from rcs.spatial import Pose, deproject, tquat_to_matrix
 
 

@@ -52,12 +52,7 @@ class Panel:
     """Controls of one session on all pages of a server."""
 
     def __init__(
-        self,
-        server: viser.ViserServer,
-        session: Session,
-        scene: BrowserScene,
-        submit: Submit,
-        keys: Keyboard,
+        self, server: viser.ViserServer, session: Session, scene: BrowserScene, submit: Submit, keys: Keyboard
     ) -> None:
         """Put the controls on the page.
 
