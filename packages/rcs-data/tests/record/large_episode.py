@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import simplejpeg
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, FrameAccess, check, compare_steps, edit
-from rcs_data.files.codec import encode_jpeg
 
 KEY = "observation/frames/wrist/rgb"
 SHAPE = (480, 640, 3)
@@ -23,7 +23,7 @@ def main(megabytes: int, path: Path) -> None:
     time = Feature(key="time/monotonic", shape=(), dtype="float64", unit="s")
     info = DatasetInfo(frequency=30.0, setup={}, instruction="", features=(joints, time, camera))
     rng = np.random.default_rng(0)
-    images = [encode_jpeg(rng.integers(0, 256, SHAPE, np.uint8), 95, "444") for _ in range(3)]
+    images = [simplejpeg.encode_jpeg(rng.integers(0, 256, SHAPE, np.uint8), 95) for _ in range(3)]
     rows = megabytes * 1_000_000 // len(images[0]) + 1
     # Of the data segment, not of all addresses: files are mapped.
     used = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmData"))

@@ -3,9 +3,10 @@
 Any viewer reads them.
 
 Cost of 640 x 480 pixels of a simulated lab, with the noise of a real camera and without, on one core: QOI takes 4.6 and
-2.3 ms to encode, 3.2 and 2.3 ms to decode, and 597 and 33 kB; PNG of the same image 11 to 13 and 2.6, 5 and 2.5 ms, and
-507 and 29 kB. Depth as PNG takes 1.7 and 0.6, 2.7 and 1.1 ms, and 259 and 40 kB. PyAV takes six times as long to encode
-it, and Pillow fourteen, in turns (0.44, 3.0 and 6.3 ms with noise, on another machine); hence the few lines here.
+2.3 ms to encode, 3.2 and 2.3 ms to decode, and 597 and 33 kB; by FFmpeg, PNG of the same image 11 to 13 and 2.6, 5 and
+2.5 ms, and 507 and 29 kB. Depth as PNG takes 1.7 and 0.6, 2.7 and 1.1 ms, and 259 and 40 kB. FFmpeg takes six times as
+long to encode it, and Pillow fourteen, in turns (0.44, 3.0 and 6.3 ms with noise, on another machine); hence the few
+lines here.
 """
 
 from __future__ import annotations
@@ -24,19 +25,17 @@ from numpy.typing import NDArray
 
 from rcs_data.errors import CorruptEpisode
 from rcs_data.files.feature import Feature
-from rcs_data.files.info import DatasetInfo, Subsampling
+from rcs_data.files.info import DatasetInfo
 
 ONE_THREAD: dict[str, Any] = {"threads": 1} if int(av.__version__.partition(".")[0]) >= 17 else {}
 """Options of PyAV's `reformat`, which used one thread before it had a choice."""
 
 PNG = b"\x89PNG\r\n\x1a\n"
 """The first bytes of a PNG file."""
-_PNG_END = b"IEND"
 _PNG_PIXELS = {(2, 2): "gray16be", (2, 1): "gray", (3, 1): "rgb24"}  # by axes and bytes per number
-# Filter "sub", each byte minus that of the pixel before, and the fastest level that is not much larger.
-_PNG_OPTIONS = {"compression_level": "1", "pred": "sub"}
-_JPEG, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
-_QOI, _QOI_END = b"qoif", b"\0\0\0\0\0\0\0\1"
+# How whole files begin and end; the last chunk of a PNG is empty, so its checksum never differs.
+_JPEG, _QOI = (b"\xff\xd8", b"\xff\xd9"), (b"qoif", b"\0\0\0\0\0\0\0\1")
+_PNG = (PNG, b"IEND\xaeB`\x82")
 
 
 def encode_frame(feature: Feature, image: NDArray[Any], info: DatasetInfo) -> bytes:
@@ -48,10 +47,11 @@ def encode_frame(feature: Feature, image: NDArray[Any], info: DatasetInfo) -> by
         info: For the quality of a JPEG.
     """
     if feature.encoding in ("depth", "labels"):
-        return encode_depth(image)
+        return encode_png(image)
     if feature.encoding == "lossless":
         return encode_lossless(image)
-    return encode_jpeg(image, info.jpeg_quality, info.jpeg_subsampling)
+    rgb = np.ascontiguousarray(image)
+    return simplejpeg.encode_jpeg(rgb, info.jpeg_quality, "RGB", info.jpeg_subsampling, fastdct=False)
 
 
 def decode_frame(feature: Feature, data: bytes, out: NDArray[Any] | None = None) -> NDArray[Any]:
@@ -68,8 +68,10 @@ def decode_frame(feature: Feature, data: bytes, out: NDArray[Any] | None = None)
     """
     if feature.encoding == "jpeg":
         return decode_jpeg(data, feature.shape, out)
-    decode = decode_lossless if feature.encoding == "lossless" else decode_depth
-    image = decode(data, feature.shape)
+    if feature.encoding == "lossless":
+        image = decode_lossless(data, feature.shape)
+    else:
+        image = decode_png(data, feature.shape, "uint16", converts=False)
     if out is None:
         return image
     out[...] = image
@@ -78,19 +80,11 @@ def decode_frame(feature: Feature, data: bytes, out: NDArray[Any] | None = None)
 
 def is_file(feature: Feature, data: bytes) -> bool:
     """Return whether bytes begin and end like a file of an image feature's encoding; its pixels are not looked at."""
-    return {"jpeg": _is_jpeg, "lossless": _is_qoi}.get(feature.encoding, _is_png)(data)
+    return _is_whole(data, {"jpeg": _JPEG, "lossless": _QOI}.get(feature.encoding, _PNG))
 
 
-def _is_jpeg(data: bytes) -> bool:
-    return data[:2] == _JPEG and data[-2:] == _JPEG_END
-
-
-def _is_qoi(data: bytes) -> bool:
-    return data[:4] == _QOI and data[-8:] == _QOI_END
-
-
-def _is_png(data: bytes) -> bool:
-    return data[:8] == PNG and data[-8:-4] == _PNG_END
+def _is_whole(data: bytes, ends: tuple[bytes, bytes]) -> bool:
+    return data.startswith(ends[0]) and data.endswith(ends[1])
 
 
 def blank_frame(feature: Feature, info: DatasetInfo) -> bytes:
@@ -113,17 +107,6 @@ def pixel_buffer(shape: tuple[int, ...]) -> NDArray[np.uint8]:
     return memory[start : start + size].reshape(shape)
 
 
-def encode_jpeg(image: NDArray[np.uint8], quality: int, subsampling: Subsampling) -> bytes:
-    """Return the image as JPEG.
-
-    Args:
-        image: RGB, shape (H, W, 3).
-        quality: 1 to 100.
-        subsampling: How much colour is kept.
-    """
-    return simplejpeg.encode_jpeg(np.ascontiguousarray(image), quality, "RGB", subsampling, fastdct=False)
-
-
 def decode_jpeg(data: bytes, shape: tuple[int, ...], out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
     """Return the image in a JPEG.
 
@@ -137,7 +120,7 @@ def decode_jpeg(data: bytes, shape: tuple[int, ...], out: NDArray[np.uint8] | No
     """
     target = pixel_buffer(shape) if out is None else out
     # The decoder itself takes a file that was cut short and fills the rest with grey.
-    if not _is_jpeg(data):
+    if not _is_whole(data, _JPEG):
         raise CorruptEpisode(f"The {len(data)} bytes are not a whole JPEG.")
     try:
         image = simplejpeg.decode_jpeg(data, "RGB", fastdct=False, fastupsample=False, strict=True, buffer=target)
@@ -148,29 +131,17 @@ def decode_jpeg(data: bytes, shape: tuple[int, ...], out: NDArray[np.uint8] | No
     return image
 
 
-def decode_small_jpeg(data: bytes, least_height: int) -> NDArray[np.uint8]:
-    """Return the image in a JPEG, reduced by the decoder where it can; good enough to look at.
-
-    Args:
-        data: The bytes of the file.
-        least_height: Minimal height of the result [px].
-
-    Raises:
-        CorruptEpisode: The bytes are no JPEG.
-    """
-    try:
-        return simplejpeg.decode_jpeg(data, "RGB", fastdct=True, fastupsample=True, min_height=least_height)
-    except ValueError as err:
-        raise CorruptEpisode(f"The JPEG does not decode: {err}.") from err
-
-
 def encode_lossless(image: NDArray[np.uint8]) -> bytes:
     """Return the image as a QOI file (https://qoiformat.org), which Pillow and FFmpeg read.
 
     Args:
         image: RGB, shape (H, W, 3).
     """
-    return _encode("qoi", "rgb24", image, {})
+    context: Any = av.CodecContext.create("qoi", "w")
+    context.height, context.width = image.shape[:2]
+    context.pix_fmt, context.time_base, context.thread_count = "rgb24", Fraction(1), 1
+    (packet,) = context.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24"))
+    return bytes(packet)
 
 
 def decode_lossless(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
@@ -183,49 +154,27 @@ def decode_lossless(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     Raises:
         CorruptEpisode: The bytes are not a whole QOI file of this shape.
     """
-    if not _is_qoi(data):
+    if not _is_whole(data, _QOI):
         raise CorruptEpisode(f"The {len(data)} bytes are not a whole QOI file.")
     return _decode("qoi", "rgb24", data, shape)
 
 
-def encode_depth(image: NDArray[np.uint16]) -> bytes:
-    """Return the image as a PNG file of 16 bits.
-
-    Args:
-        image: Shape (H, W), millimetres or labels.
-    """
-    # ISA-L deflates four times as fast as zlib, which FFmpeg uses, and as well.
-    height, width = image.shape
-    values = image.astype(">u2").view(np.uint8).reshape(height, 2 * width)
-    lines = np.empty((height, 1 + 2 * width), np.uint8)
-    lines[:, 0] = 2  # the filter "up": each byte minus that of the line before
-    lines[0, 1:] = values[0]
-    np.subtract(values[1:], values[:-1], out=lines[1:, 1:])
-    header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
-    parts = ((b"IHDR", header), (b"IDAT", isal_zlib.compress(lines, 1)), (_PNG_END, b""))
-    return PNG + b"".join(map(_chunk, *zip(*parts, strict=True)))
-
-
-def decode_depth(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint16]:
-    """Return the image in a PNG file of 16 bits.
-
-    Args:
-        data: The bytes of the file.
-        shape: The expected shape, (H, W).
-
-    Raises:
-        CorruptEpisode: The bytes are not a whole PNG file of 16 bits and this shape.
-    """
-    return decode_png(data, shape, "uint16", converts=False)
-
-
 def encode_png(image: NDArray[Any]) -> bytes:
-    """Return the image as PNG, for formats without another lossless encoding.
+    """Return the image as PNG: depth [mm], labels, and colour for formats without another lossless encoding.
 
     Args:
         image: RGB, shape (H, W, 3), uint8; or grey, shape (H, W), uint8 or uint16.
     """
-    return _encode("png", _PNG_PIXELS[image.ndim, image.dtype.itemsize], image, _PNG_OPTIONS)
+    # ISA-L deflates four times as fast as zlib, which FFmpeg uses, and as well.
+    height, width = image.shape[:2]
+    values = np.ascontiguousarray(image, image.dtype.newbyteorder(">")).view(np.uint8).reshape(height, -1)
+    lines = np.empty((height, 1 + values.shape[1]), np.uint8)
+    lines[:, 0] = 2  # the filter "up": each byte minus that of the line before
+    lines[0, 1:] = values[0]
+    np.subtract(values[1:], values[:-1], out=lines[1:, 1:])
+    header = struct.pack(">IIBBBBB", width, height, 8 * image.itemsize, 2 if image.ndim == 3 else 0, 0, 0, 0)
+    parts = ((b"IHDR", header), (b"IDAT", isal_zlib.compress(lines, 1)), (b"IEND", b""))
+    return PNG + b"".join(map(_chunk, *zip(*parts, strict=True)))
 
 
 def decode_png(data: bytes, shape: tuple[int, ...], dtype: str, *, converts: bool = True) -> NDArray[Any]:
@@ -241,21 +190,13 @@ def decode_png(data: bytes, shape: tuple[int, ...], dtype: str, *, converts: boo
         CorruptEpisode: The bytes are not such an image.
     """
     # The decoder itself takes a file that was cut short.
-    if not _is_png(data):
+    if not _is_whole(data, _PNG):
         raise CorruptEpisode(f"The {len(data)} bytes are not a whole PNG file.")
     return _decode("png", _PNG_PIXELS[len(shape), np.dtype(dtype).itemsize], data, shape, converts=converts)
 
 
 def _chunk(name: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + name + data + struct.pack(">I", isal_zlib.crc32(name + data))
-
-
-def _encode(codec: str, pixels: str, image: NDArray[Any], options: dict[str, str]) -> bytes:
-    context: Any = av.CodecContext.create(codec, "w")
-    context.height, context.width = image.shape[:2]
-    context.pix_fmt, context.time_base, context.thread_count, context.options = pixels, Fraction(1), 1, options
-    (packet,) = context.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format=pixels))
-    return bytes(packet)
 
 
 def _decode(codec: str, pixels: str, data: bytes, shape: tuple[int, ...], *, converts: bool = False) -> NDArray[Any]:

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 
 from rcs_data.errors import CorruptEpisode
-from rcs_data.files.codec import decode_small_jpeg
 from rcs_data.files.feature import Feature
 from rcs_data.files.info import DatasetInfo
 from rcs_data.options import Meta, Record, Whole
@@ -132,9 +132,9 @@ def _images(episode: EpisodeRecord, feature: Feature, limits: _Limits | None, ro
     for row, data in enumerate(episode.encoded_frames(feature.key)):
         if data is not last:
             try:
-                image = decode_small_jpeg(data, rows)
-            except CorruptEpisode as err:
-                raise CorruptEpisode(f"{feature.key}, row {row}: {err}") from err
+                image = simplejpeg.decode_jpeg(data, "RGB", fastdct=True, fastupsample=True, min_height=rows)
+            except ValueError as err:
+                raise CorruptEpisode(f"{feature.key}, row {row}: the JPEG does not decode: {err}.") from err
             last = data
         yield image
 

@@ -13,13 +13,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import simplejpeg
 from rcs_data import Dataset, Windows, check
 from rcs_data.convert.labels import row_texts
 from rcs_data.convert.lerobot.export import export_lerobot
 from rcs_data.convert.lerobot.import_ import import_lerobot
 from rcs_data.convert.lerobot.source import LeRobotSource
 from rcs_data.convert.options import ExportOptions, ImportOptions
-from rcs_data.files.codec import encode_jpeg
 from rcs_data.read.trajectory import action_layout, camera_features, state_layout
 
 WORDS = ("pick up the green cuboid", "nimm den grünen Würfel – 拿起方块")
@@ -200,7 +200,7 @@ def test_tasks_and_subtasks_of_every_frame_survive(make_dataset: Any, tmp_path: 
 def test_jpeg_files_in_tables_stay_as_they_are(make_dataset: Any, tmp_path: Path) -> None:
     given = foreign(make_dataset(cameras=False), tmp_path / "lerobot", "2.1")
     described(given, image={"dtype": "image", "shape": [8, 16, 3], "names": ["height", "width", "channel"]})
-    jpeg = encode_jpeg(np.random.default_rng(0).integers(0, 256, (8, 16, 3), np.uint8), 80, "420")
+    jpeg = simplejpeg.encode_jpeg(np.random.default_rng(0).integers(0, 256, (8, 16, 3), np.uint8), 80)
     changed(given, lambda t: t.append_column("image", pa.array([{"bytes": jpeg, "path": "x.jpg"}] * len(t))))
     back = import_lerobot(given, tmp_path / "back")
     assert set(back.episodes[0].encoded_frames("observation/frames/image/rgb")) == {jpeg}
