@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
@@ -126,65 +126,60 @@ def check_video(path: Path, frames: int, fps: int) -> None:
 
 
 class VideoJoiner:
-    """Joins videos of `encode_video` without encoding again."""
+    """Joins videos of `encode_video` without encoding again, in files of limited size."""
 
-    def __init__(self, path: Path, fps: int) -> None:
-        """Start a file.
+    def __init__(self, path_of: Callable[[int], Path], fps: int, limit: int) -> None:
+        """Start without a file.
 
         Args:
-            path: The file, ending in ".mp4".
+            path_of: Returns the path of a file, ending in ".mp4", given its number from 0.
             fps: Frames per second of all.
+            limit: Size beyond which a new file begins [B].
         """
-        self.path = path
-        self.frames = 0
-        self.size = 0
-        self._fps = fps
-        self._output: Any = av.open(str(path), "w", options=_REPRODUCIBLE)
+        self._path_of, self._fps, self._limit = path_of, fps, limit
+        self._files = self._frames = self._size = 0
+        self._output: Any = None
         self._stream: Any = None
-        self._parameters: Any = None
 
-    def takes(self, path: Path) -> bool:
-        """Return whether a video can be joined: whether its decoder parameters equal those so far."""
-        with av.open(str(path)) as source:
-            return self._stream is None or _parameters(source) == self._parameters
-
-    def append(self, path: Path) -> int:
-        """Append a video, and return the number of its first frame.
+    def append(self, path: Path) -> tuple[int, int]:
+        """Append a video, and return the number of its file and of its first frame there.
 
         Args:
-            path: The video; `takes` returned True for it.
+            path: The video, of the same codec, options and shape as those before.
+
+        Raises:
+            DatasetError: In the file that is complete now, a frame is missing or has a wrong stamp.
         """
-        first = self.frames
+        if self._output is not None and self._size + path.stat().st_size > self._limit:
+            self.close()
         with av.open(str(path)) as source:
-            if self._stream is None:
+            if self._output is None:
+                self._output = av.open(str(self._path_of(self._files)), "w", options=_REPRODUCIBLE)
                 self._stream = self._output.add_stream_from_template(source.streams.video[0], opaque=True)
-                self._parameters = _parameters(source)
+                self._files, self._frames, self._size = self._files + 1, 0, 0
+            first = self._frames
             for packet in source.demux(video=0):
                 if packet.pts is None:
                     continue
                 place = first + round(packet.pts * packet.time_base * self._fps)
                 packet.stream, packet.time_base = self._stream, Fraction(1, self._fps)
-                packet.pts, packet.dts, packet.duration = place, self.frames, 1
+                packet.pts, packet.dts, packet.duration = place, self._frames, 1
                 self._output.mux(packet)
-                self.size += packet.size
-                self.frames += 1
-        return first
+                self._size += packet.size
+                self._frames += 1
+        return self._files - 1, first
 
-    def close(self) -> None:
-        """Complete the file and check it; calling it twice is harmless.
+    def close(self, *, is_whole: bool = True) -> None:
+        """Close the open file and check it, or close it without that; calling it twice is harmless.
 
         Raises:
             DatasetError: A frame is missing or has a wrong stamp.
         """
-        if self._output is not None:
-            self.abort()
-            check_video(self.path, self.frames, self._fps)
-
-    def abort(self) -> None:
-        """Close the file without checking it."""
-        if self._output is not None:
-            self._output.close()
-            self._output = None
+        output, self._output = self._output, None
+        if output is not None:
+            output.close()
+            if is_whole:
+                check_video(self._path_of(self._files - 1), self._frames, self._fps)
 
 
 class VideoReader:
@@ -266,11 +261,6 @@ def _open_quietly(encoder: Any) -> None:
     for thread in set(os.listdir("/proc/self/task")) - before:
         with suppress(ProcessLookupError):  # it has ended
             os.sched_setscheduler(int(thread), policy, parameter)
-
-
-def _parameters(source: Any) -> tuple[Any, ...]:
-    context = source.streams.video[0].codec_context
-    return context.name, context.width, context.height, bytes(context.extradata or b"")
 
 
 def _time(frame: av.VideoFrame) -> float:

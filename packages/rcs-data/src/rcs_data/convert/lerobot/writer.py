@@ -9,6 +9,7 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +149,7 @@ class V3Writer(LeRobotWriter):
         self._data = _GrowingParquet(self.root / "data", data_limit)
         self._about = _GrowingParquet(self.root / "meta" / "episodes", data_limit)
         self._videos = {
-            name: _GrowingVideo(self.root / "videos" / name, self.layout.fps, video_limit)
+            name: VideoJoiner(partial(self._video_file, name), self.layout.fps, video_limit)
             for name in self.layout.cameras
         }
         self._waiting: list[dict[str, Any]] = []
@@ -172,7 +173,8 @@ class V3Writer(LeRobotWriter):
             "dataset_to_index": episode.first + length,
         }
         for name, video in episode.videos.items():
-            chunk, file, first = self._videos[name].add(video)
+            number, first = self._videos[name].append(video)
+            chunk, file = divmod(number, CHUNK)
             row[f"videos/{name}/chunk_index"], row[f"videos/{name}/file_index"] = chunk, file
             row[f"videos/{name}/from_timestamp"] = first / self.layout.fps
             row[f"videos/{name}/to_timestamp"] = (first + length) / self.layout.fps
@@ -181,6 +183,9 @@ class V3Writer(LeRobotWriter):
         self._waiting.append(row)
         if len(self._waiting) == _EPISODES_AT_A_TIME:
             self._flush()
+
+    def _video_file(self, name: str, number: int) -> Path:
+        return _parent_made(self.root / "videos" / name / _shared(number, "mp4"))
 
     def _flush(self) -> None:
         if not self._waiting:
@@ -228,31 +233,6 @@ class _GrowingParquet:
         if self._writer is not None:
             self._writer.close()
             self._writer = None
-
-
-class _GrowingVideo:
-    """Joins videos of episodes to files of limited size."""
-
-    def __init__(self, root: Path, fps: int, limit: int) -> None:
-        self._root, self._fps, self._limit, self._files = root, fps, limit, 0
-        self._joiner: VideoJoiner | None = None
-
-    def add(self, path: Path) -> tuple[int, int, int]:
-        """Append a video and return its chunk number, file number and first frame."""
-        open_ = self._joiner
-        if open_ is not None and (open_.size + path.stat().st_size > self._limit or not open_.takes(path)):
-            self.close()
-        if self._joiner is None:
-            self._joiner = VideoJoiner(_parent_made(self._root / _shared(self._files, "mp4")), self._fps)
-            self._files += 1
-        first = self._joiner.append(path)
-        return *divmod(self._files - 1, CHUNK), first
-
-    def close(self, *, is_whole: bool = True) -> None:
-        """Complete the open file, or close it without that."""
-        joiner, self._joiner = self._joiner, None
-        if joiner is not None:
-            (joiner.close if is_whole else joiner.abort)()
 
 
 def write_json(path: Path, values: Any) -> None:
