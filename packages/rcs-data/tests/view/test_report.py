@@ -137,7 +137,7 @@ def test_the_page_is_replaced_in_one_step_and_not_through_a_link(tmp_path: Path)
     record(tmp_path / "data", [True])
     (tmp_path / "mine").write_text("mine")
     (tmp_path / "data/report.html").symlink_to(tmp_path / "mine")
-    (tmp_path / "data/.report.html.tmp").symlink_to(tmp_path / "mine")
+    (tmp_path / "data/report.html.tmp").symlink_to(tmp_path / "mine")
     assert not write_report(tmp_path / "data").is_symlink()
     assert (tmp_path / "mine").read_text() == "mine"
     assert not list((tmp_path / "data").glob("*.tmp"))

@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
@@ -120,10 +120,14 @@ def sync_folder(path: Path) -> None:
         os.close(fd)
 
 
-def write_file(path: Path, *pieces: bytes | memoryview) -> None:
+def write_file(path: Path, *pieces: bytes | memoryview | Iterable[bytes]) -> None:
     """Replace a whole file in one step: after a kill, either the old or the new one is there.
 
     The caller syncs the folder if the name itself must be on the disk.
+
+    Args:
+        path: The file.
+        pieces: Its bytes in order; of a piece that is an iterable, each part is written as it comes.
     """
     temporary = path.with_name(path.name + ".tmp")
     # Left by a kill, or a link that would be written through.
@@ -131,9 +135,10 @@ def write_file(path: Path, *pieces: bytes | memoryview) -> None:
     fd = os.open(temporary, _NEW_FILE, 0o644)
     try:
         for piece in pieces:
-            write_all(fd, piece)
+            for part in (piece,) if isinstance(piece, bytes | memoryview) else piece:
+                write_all(fd, part)
         sync(fd)
-    except OSError:  # half of it would take space that a full disk does not have
+    except BaseException:  # half of it would take space that a full disk does not have
         temporary.unlink(missing_ok=True)
         raise
     finally:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime, timezone
-from typing import IO, Any
+from typing import Any
 
 from rcs_data.errors import CorruptEpisode
 from rcs_data.files.feature import Feature
@@ -18,24 +18,20 @@ from rcs_data.view.html import json_text
 from rcs_data.view.rendering import Rendered, clip_name
 
 
-def write_catalogue(
-    file: IO[str], dataset: Dataset, episodes: Iterable[Rendered], *, wall_time: float | None = None
-) -> None:
-    """Write the script that gives a page all of a dataset but the episodes' data, a line for each episode.
+def catalogue(dataset: Dataset, episodes: Iterable[Rendered], *, wall_time: float | None = None) -> Iterator[bytes]:
+    """Yield the script that gives a page all of a dataset but the episodes' data, a line for each episode.
 
     Args:
-        file: Where to.
         dataset: The dataset.
         episodes: The episodes of the page; they are taken one by one, and none is kept in memory.
         wall_time: How long the collection took [s]; None if it is not known.
     """
     summary = _Summary(dataset)
-    file.write('rcsDataset({"episodes":[')
+    yield b'rcsDataset({"episodes":['
     for number, episode in enumerate(episodes):
-        file.write(",\n" if number else "\n")
-        file.write(json_text(summary.line(episode)))
+        yield ((",\n" if number else "\n") + json_text(summary.line(episode))).encode()
     facts = json_text({**_facts(dataset), **summary.figures(wall_time)})
-    file.write(f"\n],{facts.removeprefix('{')});\n")
+    yield f"\n],{facts.removeprefix('{')});\n".encode()
 
 
 def _facts(dataset: Dataset) -> dict[str, Any]:

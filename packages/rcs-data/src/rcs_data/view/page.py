@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import base64
-import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
-from rcs_data.files.durable import disk_errors, remove_tree
+from rcs_data.errors import DatasetError, InvalidSetup
+from rcs_data.files.durable import disk_errors, remove_tree, write_file
 from rcs_data.files.output import OnProgress, size_on_disk
 from rcs_data.read.reader import Dataset, EpisodeRecord
-from rcs_data.view.catalogue import write_catalogue
+from rcs_data.view.catalogue import catalogue
 from rcs_data.view.clips import ClipOptions, pictures
 from rcs_data.view.html import Html, element, page, script, style, web
 from rcs_data.view.rendering import CLIPS, EPISODES, Rendered, Renderer, clip_name, episode_file, script_values
@@ -92,21 +91,17 @@ def write_view(
         _require_own(folder)
         folder.mkdir(parents=True, exist_ok=True)
         # Until all episodes are there, so that a page that was not completed is known as one.
-        _put(folder / _CATALOGUE, "rcsDataset(null);\n")
+        write_file(folder / _CATALOGUE, b"rcsDataset(null);\n")
         shown = {record.id for record in chosen}
         for name, ending in ((EPISODES, ".js"), (CLIPS, "")):
             (folder / name).mkdir(exist_ok=True)
             for path in (folder / name).iterdir():
                 if path.name.removesuffix(ending) not in shown:
                     remove_tree(path)
-        _put(folder / "index.html", shell(is_alone=False))
+        write_file(folder / "index.html", shell(is_alone=False).encode())
         for name in (_STYLE, *_SCRIPTS):
-            _put(folder / name, web(name))
-        partial = folder / f".{_CATALOGUE}.tmp"
-        partial.unlink(missing_ok=True)  # never through a link
-        with partial.open("x", encoding="ascii") as file:
-            write_catalogue(file, dataset, counted())
-        partial.replace(folder / _CATALOGUE)
+            write_file(folder / name, web(name).encode())
+        write_file(folder / _CATALOGUE, catalogue(dataset, counted()))
         return ViewReport(path=folder / "index.html", size=size_on_disk(folder), **counts)
 
 
@@ -135,12 +130,6 @@ def chosen_episodes(dataset: Dataset, patterns: Sequence[str] | None) -> tuple[E
     return tuple(episode for episode in dataset.episodes if episode.id in meant)
 
 
-def _put(path: Path, text: str) -> None:
-    """Write a file in place of any that is there, and never through a link."""
-    path.unlink(missing_ok=True)
-    path.write_text(text, "utf-8")
-
-
 def _require_own(folder: Path) -> None:
     for path in (folder, folder / EPISODES, folder / CLIPS):
         if path.is_symlink() or (path.exists() and not path.is_dir()):
@@ -164,7 +153,6 @@ def write_report(dataset_path: str | Path, *, wall_time: float | None = None) ->
     """
     dataset = Dataset.open(dataset_path)
     path = dataset.path / REPORT_FILE
-    partial = path.with_name(f".{REPORT_FILE}.tmp")
     start, end = shell(is_alone=True, more=_EPISODES_HERE).split(_EPISODES_HERE)
     with disk_errors("write the report", path), tempfile.TemporaryDirectory(prefix="rcs-report-") as name:
         folder = Path(name)
@@ -172,18 +160,9 @@ def write_report(dataset_path: str | Path, *, wall_time: float | None = None) ->
             (folder / part).mkdir()
         renderer = Renderer(dataset=dataset, folder=folder, options=_CLIPS)
         results = {result.record.id: result for result in renderer.render(_in_detail(dataset))}
-        partial.unlink(missing_ok=True)  # never through a link
-        with partial.open("x", encoding="utf-8") as file:
-            file.write(start)
-            for result in results.values():
-                if not result.why:
-                    _write_episode(file.write, folder, result.record)
-            file.write("<script>")
-            write_catalogue(file, dataset, _all(dataset, results), wall_time=wall_time)
-            file.write(f"</script>\n{end}")
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
+        details = (part for result in results.values() if not result.why for part in _episode(folder, result.record))
+        facts = catalogue(dataset, _all(dataset, results), wall_time=wall_time)
+        write_file(path, start.encode(), details, b"<script>", facts, f"</script>\n{end}".encode())
     return path
 
 
@@ -194,22 +173,15 @@ def _all(dataset: Dataset, results: dict[str, Rendered]) -> Iterator[Rendered]:
 
 def _in_detail(dataset: Dataset) -> list[EpisodeRecord]:
     first = dataset.episodes[:_FIRST_IN_DETAIL]
-    failed = [record for record in dataset.episodes[_FIRST_IN_DETAIL:] if _has_failed(record)]
+    failed = [record for record in dataset.episodes[_FIRST_IN_DETAIL:] if record.success is False]
     return [*first, *failed][:_MOST_IN_DETAIL]
 
 
-def _has_failed(record: EpisodeRecord) -> bool:
-    try:
-        return record.success is False
-    except CorruptEpisode:
-        return False
-
-
-def _write_episode(write: Callable[[str], object], folder: Path, record: EpisodeRecord) -> None:
-    """Write an episode as data that the browser parses on use."""
+def _episode(folder: Path, record: EpisodeRecord) -> Iterator[bytes]:
+    """Yield an episode as data that the browser parses on use."""
     body = Html(script_values(episode_file(folder, record)))
-    write(element("script", body, type="application/json", data_episode=record.id) + "\n")
+    yield (element("script", body, type="application/json", data_episode=record.id) + "\n").encode()
     for number, feature in enumerate(pictures(record.info)):
         data = base64.b64encode((folder / CLIPS / record.id / clip_name(feature)).read_bytes()).decode("ascii")
         address = f"data:video/mp4;base64,{data}"
-        write(element("script", address, type="text/plain", data_clip=f"{number} {record.id}") + "\n")
+        yield (element("script", address, type="text/plain", data_clip=f"{number} {record.id}") + "\n").encode()

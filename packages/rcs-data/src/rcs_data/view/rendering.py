@@ -10,9 +10,8 @@ import hashlib
 import json
 import os
 import re
-from collections import deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -58,15 +57,8 @@ class Renderer:
         if not self._pictures:  # only decoding and encoding run without Python's lock
             yield from map(self._render, episodes)
             return
-        workers = min(8, os.cpu_count() or 1)
-        under_way: deque[Future[Rendered]] = deque()
-        with ThreadPoolExecutor(workers, "view") as pool:
-            for episode in episodes:
-                under_way.append(pool.submit(self._render, episode))
-                if len(under_way) > 2 * workers:
-                    yield under_way.popleft().result()
-            while under_way:
-                yield under_way.popleft().result()
+        with ThreadPoolExecutor(min(8, os.cpu_count() or 1), "view") as pool:
+            yield from pool.map(self._render, episodes)
 
     def _render(self, record: EpisodeRecord) -> Rendered:
         clips, script = self.folder / CLIPS / record.id, episode_file(self.folder, record)
@@ -75,7 +67,8 @@ class Renderer:
             key = self._key(about)
             if (flaws := self._kept(script, clips, key)) is not None:
                 return Rendered(record=record, flaws=flaws)
-            _remove(script, clips)
+            remove_tree(script)
+            remove_tree(clips)
             if record.length > MOST_STEPS:
                 why = f"has {record.length} steps; a page shows up to {MOST_STEPS}."
                 return Rendered(record=record, flaws={}, why=why)
@@ -87,7 +80,8 @@ class Renderer:
             script.write_text(f"rcsEpisode({json_text(values)});\n", "ascii")
             return Rendered(record=record, flaws=values["flaws"])
         except CorruptEpisode as err:
-            _remove(script, clips)
+            remove_tree(script)
+            remove_tree(clips)
             # Where the dataset lies on this machine is nothing for a page that is passed on.
             why = str(err).replace(f"{self.dataset.path / EPISODES}/", "").replace(f"{self.dataset.path}/", "")
             return Rendered(record=record, flaws={}, why=f"is damaged: {why}", is_damaged=True)
@@ -118,11 +112,6 @@ def _program() -> str:
     """Return a hash of the code that draws."""
     sources = sorted(Path(__file__).parent.glob("*.py"))
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
-
-
-def _remove(*paths: Path) -> None:
-    for path in paths:
-        remove_tree(path)
 
 
 def script_values(script: Path) -> str:
