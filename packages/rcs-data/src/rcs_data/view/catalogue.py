@@ -76,11 +76,12 @@ class _Summary:
         """Return what the page says of an episode in its list; what is as usual is left out."""
         record = episode.record
         try:
-            outcome = {name: value for name, value in record.outcome.items() if value is not None}
-            facts = {"started": record.about.get("started"), **outcome, "content": record.content_hash[:16]}
-            self._count(record)
+            about = record.about
         except CorruptEpisode:
             return {"id": record.id, "why": episode.why, "damaged": True, "rows": 0, "success": None}
+        self._count(record, about)
+        outcome = {name: value for name, value in about["outcome"].items() if value is not None}
+        facts = {"started": about.get("started"), **outcome, "content": record.content_hash[:16]}
         note = str(outcome.get("failure") or outcome.get("aborted") or "")
         line = {
             "id": record.id,
@@ -98,14 +99,14 @@ class _Summary:
         }
         return {**line, **{name: value for name, value in unusual.items() if value}, "damaged": episode.is_damaged}
 
-    def _count(self, record: EpisodeRecord) -> None:
+    def _count(self, record: EpisodeRecord, about: dict[str, Any]) -> None:
         self._whole += 1
         self._verdicts[record.success] += 1
         self._rows += record.length
-        self._recovered += bool(record.outcome.get("recovered"))
+        self._recovered += bool(about["outcome"].get("recovered"))
         if record.success is False:
-            self._failures[str(record.outcome.get("failure") or "not classified")] += 1
-        if period := record.timing.get("period"):
+            self._failures[str(about["outcome"].get("failure") or "not classified")] += 1
+        if period := about["timing"].get("period"):
             self._measured += 1
             self._mean += period["mean"]
             self._wanted = period["expected"]
