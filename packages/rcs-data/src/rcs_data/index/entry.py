@@ -74,7 +74,10 @@ def unsealed(line: bytes, decoder: msgspec.json.Decoder[T]) -> T:
     text, mark, checksum = line[:-23], line[-23:-10], line[-10:]
     if mark != _CHECKSUM or checksum != b'%08x"}' % zlib.crc32(text):
         raise ValueError("its checksum does not match")
-    return decoder.decode(line)
+    try:
+        return decoder.decode(line)
+    except msgspec.MsgspecError as err:  # which before version 0.21 is no ValueError
+        raise ValueError(str(err)) from err
 
 
 def entry_of(line: bytes, path: Path, number: int) -> Entry:
