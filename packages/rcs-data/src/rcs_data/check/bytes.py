@@ -61,7 +61,7 @@ class EpisodeBytes:
         self.rows.about = about
         altered = yield from self._altered_files()
         if STEPS_FILE not in altered and (altered or self._reads_rows):
-            yield from self._locate(altered) if altered else self._check_rows()
+            yield from self._locate() if altered else self._check_rows()
 
     def _altered_files(self) -> Generator[Finding, None, set[str]]:
         """Compare the files with their hashes; return the names of those that differ."""
@@ -119,7 +119,7 @@ class EpisodeBytes:
             log.is_black.append(is_black)
             log.last = data or log.last
 
-    def _locate(self, altered: set[str]) -> Iterator[Finding]:
+    def _locate(self) -> Iterator[Finding]:
         """Name the rows whose images can no longer be read, of a file that is not what was written."""
         record = EpisodeRecord(self._place.folder, self._info)
         features = [feature for feature in self._info.features if feature.is_image]
@@ -127,9 +127,8 @@ class EpisodeBytes:
             numbers = record.image_numbers(feature.key for feature in features)
             images = FramesFile(record.path / FRAMES_FILE)
         except CorruptEpisode as err:
-            if not (altered and (record.path / FRAMES_FILE).is_file()):
-                return
-            yield self._damage("unreadable", str(err), FRAMES_FILE)
+            if (record.path / FRAMES_FILE).is_file():
+                yield self._damage("unreadable", str(err), FRAMES_FILE)
             return
         for feature in features:
             broken: list[int] = []

@@ -139,12 +139,11 @@ def _check_infos(root: Path) -> Iterator[Finding]:
     for file in (DATASET_FILE, name):
         path = root / file
         try:
+            info_in(path)
             data = read_bytes(path)
             values = unsealed(data, path)
-            info_in(path)
         except CorruptEpisode as err:
-            kind = "altered" if path.exists() else "missing"
-            yield Finding("damage", kind, None, file, f"{err} `rcs-data check --repair` restores it.")
+            yield Finding("damage", "altered" if path.exists() else "missing", None, file, str(err))
             continue
         if not is_as_written(data, values):
             message = "is readable, but its bytes are not those that were written"
