@@ -12,13 +12,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rcs_data.check.bytes import EpisodeBytes
+from rcs_data.check.doubts import check_images, check_labels, check_motion, check_times, check_verdicts
 from rcs_data.check.episode_rows import EpisodePlace, is_joints
 from rcs_data.check.folder import MOST_LOOKS, check_beside, check_folder, check_index, stamps
-from rcs_data.check.images import check_images
-from rcs_data.check.labels import check_labels, check_verdicts
-from rcs_data.check.motion import check_motion
 from rcs_data.check.report import CheckReport, Finding
-from rcs_data.check.times import check_times
 from rcs_data.errors import CorruptEpisode
 from rcs_data.files.info import MERGED, DatasetInfo
 from rcs_data.files.layout import EPISODE_FILE, FORMER_FOLDER, episode_folder, folder_names, has_dataset, present_folder
