@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from rcs_data.convert.options import (
 )
 from rcs_data.errors import InvalidSetup
 from rcs_data.files.feature import DTYPES, DType, Feature
+from rcs_data.files.flags import camera_of
 from rcs_data.files.info import DatasetInfo
 from rcs_data.files.output import size_on_disk
 from rcs_data.read.reader import Dataset, EpisodeRecord
@@ -26,34 +27,16 @@ ACTION_DICT = "action_dict/"
 """Begins the keys of other forms of the action, which are no part of it; zeros in the first row."""
 
 
-@dataclass(frozen=True)
-class FrameKey:
-    """The camera and kind of a key such as "observation/frames/wrist/rgb"."""
-
-    camera: str
-    """Its name; with several robots it may contain a "/"."""
-    kind: str
-    """Such as "rgb", "depth" or "intrinsics"."""
-
-    @classmethod
-    def of(cls, key: str) -> FrameKey | None:
-        """Return the camera and kind of a key; None if it belongs to no camera."""
-        words = key.split("/")
-        if words[:2] != [OBSERVATION, FRAMES] or len(words) < 4:
-            return None
-        return cls("/".join(words[2:-1]), words[-1])
-
-
 def kept_info(info: DatasetInfo, options: ExportOptions | ImportOptions) -> DatasetInfo:
     """Return the info without the features of cameras that are not chosen; InvalidSetup if one is unknown."""
-    frame_keys = {feature.key: FrameKey.of(feature.key) for feature in info.features}
-    known = list(dict.fromkeys(key.camera for key in frame_keys.values() if key is not None))
+    cameras = {feature.key: camera_of(feature.key) for feature in info.features}
+    known = list(dict.fromkeys(filter(None, cameras.values())))
     dropped = set(known) - set(selected_cameras(known, options))
     suffixes = tuple(f"/frames/{camera}" for camera in dropped)  # its times and flags
     features = tuple(
         feature
         for feature in info.features
-        if not (frame.camera in dropped if (frame := frame_keys[feature.key]) else feature.key.endswith(suffixes))
+        if not (camera in dropped if (camera := cameras[feature.key]) else feature.key.endswith(suffixes))
     )
     return replace(info, features=features)
 
@@ -86,11 +69,10 @@ def short_name(feature: Feature, of_frames: str) -> str:
         feature: The feature.
         of_frames: How what belongs to a camera is named: "{camera}_{kind}" gives "wrist_image" and "wrist_depth".
     """
-    frame = FrameKey.of(feature.key)
-    if frame is None:
+    camera, word = camera_of(feature.key), feature.key.rpartition("/")[2]
+    if camera is None:
         return feature.key.removeprefix(f"{OBSERVATION}/").replace("/", "_")
-    kind = "image" if frame.kind == "rgb" else frame.kind
-    return of_frames.format(camera=frame.camera.replace("/", "_"), kind=kind)
+    return of_frames.format(camera=camera.replace("/", "_"), kind="image" if word == "rgb" else word)
 
 
 def is_done(feature: Feature) -> bool:

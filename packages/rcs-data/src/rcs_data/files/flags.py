@@ -22,10 +22,12 @@ class FrameFlag(enum.IntFlag):
 
 
 def camera_of(key: str) -> str | None:
-    """Return the camera of a feature: "wrist" for "observation/frames/wrist/rgb"; None for others."""
-    parts = key.split("/")
-    camera = parts[parts.index("frames") + 1 : -1] if "frames" in parts else []
-    return "/".join(camera) or None
+    """Return the camera of a feature: "wrist" for "observation/frames/wrist/rgb"; None for others.
+
+    With several robots, its name may contain a "/".
+    """
+    words = key.split("/")
+    return "/".join(words[2:-1]) if words[:2] == ["observation", "frames"] and len(words) > 3 else None
 
 
 def time_key(camera: str) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rcs_data.errors import InvalidSetup
 from rcs_data.files.feature import Feature
+from rcs_data.files.flags import camera_of
 from rcs_data.files.info import DatasetInfo
 from rcs_data.read.episode_record import EpisodeRecord
 
@@ -104,12 +105,8 @@ def action_layout(info: DatasetInfo, keys: Sequence[str] | None = None) -> Vecto
 
 def camera_features(info: DatasetInfo, kind: str = "rgb") -> dict[str, Feature]:
     """Return the image features of one kind, "rgb" or "depth", by camera."""
-    found: dict[str, Feature] = {}
-    for feature in info.features:
-        parts = feature.key.split("/")
-        if feature.is_image and parts[:2] == [OBSERVATION, FRAMES] and parts[-1] == kind:
-            found["/".join(parts[2:-1])] = feature
-    return found
+    images = [feature for feature in info.features if feature.is_image and feature.key.endswith(f"/{kind}")]
+    return {camera: feature for feature in images if (camera := camera_of(feature.key)) is not None}
 
 
 @dataclass(frozen=True, kw_only=True)

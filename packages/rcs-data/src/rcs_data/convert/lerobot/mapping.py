@@ -36,6 +36,7 @@ from rcs_data.convert.observations import kept_dtype
 from rcs_data.convert.options import ImportOptions, selected_cameras
 from rcs_data.errors import CorruptEpisode
 from rcs_data.files.feature import DType, Feature
+from rcs_data.files.flags import camera_of
 from rcs_data.read.trajectory import VectorLayout
 
 _SINGLES = {REWARD: "reward", "reward": "reward", TERMINATED: "terminated", TRUNCATED: "truncated"}
@@ -100,7 +101,7 @@ def feature_mapping(
             left_out[name] = f"{dtype} of shape {shape} is neither numeric nor a text"
         else:
             columns.append(_single(name, _feature(name, shape, kept)))
-    by_camera = {"/".join(f.key.split("/")[2:-1]): name for name, f in cameras.items()}
+    by_camera = {camera_of(f.key) or "": name for name, f in cameras.items()}
     chosen = selected_cameras(by_camera, options)
     cameras = {name: cameras[name] for camera, name in by_camera.items() if camera in chosen}
     parts = [f for column in columns for f in column.parts.features]

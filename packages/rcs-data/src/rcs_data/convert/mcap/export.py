@@ -24,12 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs_data.convert.images import as_png
-from rcs_data.convert.observations import FrameKey, export_report, kept_info
+from rcs_data.convert.observations import export_report, kept_info
 from rcs_data.convert.options import ExportOptions, ExportReport, refuse_unused, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.errors import MissingDependency
 from rcs_data.files.codec import decode_frame
 from rcs_data.files.feature import Feature
+from rcs_data.files.flags import camera_of
 from rcs_data.files.info import DatasetInfo
 from rcs_data.files.output import new_output
 from rcs_data.read.reader import Dataset, EpisodeRecord
@@ -162,8 +163,7 @@ def _frame_times(episode: EpisodeRecord, camera: str, rows: NDArray[np.int64]) -
 
 def _messages(episode: EpisodeRecord, feature: Feature, rows: NDArray[np.int64]) -> Iterator[Any]:
     """Yield a feature's message by row, of images with their time; None where it repeats the row before."""
-    frame = FrameKey.of(feature.key)
-    camera = "" if frame is None else frame.camera
+    camera = camera_of(feature.key) or ""
     last: Any = None
     if feature.is_image:
         taken = _frame_times(episode, camera, rows)
