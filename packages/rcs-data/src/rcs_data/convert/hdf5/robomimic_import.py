@@ -208,12 +208,13 @@ def _instruction(data: Any, demo: Any) -> str | None:
     """Return the instruction, from where RoboCasa or LIBERO store it."""
     words = _json_attribute(demo, "ep_meta").get("lang")
     words = words or _json_attribute(data, "problem_info").get("language_instruction")
-    return mended_text(str(words)) if words else None
+    return str(words) if words else None
 
 
 def _json_attribute(group: Any, name: str) -> Mapping[str, Any]:
     text = group.attrs.get(name, "{}")
     try:
+        text = mended_text(text) if isinstance(text, str) else text
         return parsed_json(text, name) if isinstance(text, str | bytes) else {}
     except CorruptEpisode:
         return {}
