@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,19 +13,65 @@ from rcs_data.errors import InvalidSetup
 from rcs_data.files.codec import blank_frame, pixel_buffer
 from rcs_data.files.frames_file import FramesFile
 from rcs_data.files.layout import FRAMES_FILE
-from rcs_data.read.cache import ByteCache
 from rcs_data.read.episode_record import EpisodeRecord, decoded
 
-INDEX_BYTES = 1 << 28
-"""Memory for the numbers of images by default [B], 4 per row and camera: 64 million images."""
+# Memory for the numbers of images by default [B], 4 per row and camera: 64 million images.
+_INDEX_BYTES = 1 << 28
 # A process may open 1024 files by default, and each worker has its own.
 _MOST_OPEN = 256
+T = TypeVar("T")
+
+
+class ByteCache(Generic[T]):
+    """Values by key, of limited size in bytes; the least recently used go first. Not thread-safe."""
+
+    def __init__(self, capacity: int) -> None:
+        """Start empty.
+
+        Args:
+            capacity: Bytes that all values together may take; the newest stays even if it alone takes more.
+
+        Raises:
+            InvalidSetup: The capacity is negative.
+        """
+        if capacity < 0:
+            raise InvalidSetup(f"A cache cannot hold {capacity} bytes; it must be 0 or more.")
+        self.capacity = capacity
+        self.nbytes = 0
+        self._values: OrderedDict[Hashable, tuple[T, int]] = OrderedDict()
+
+    def __len__(self) -> int:
+        """Return how many values are held."""
+        return len(self._values)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy nothing but the capacity: another process fills its own."""
+        return ByteCache, (self.capacity,)
+
+    def get(self, key: Hashable, make: Callable[[], tuple[T, int]]) -> T:
+        """Return a value; make it if it is not in the cache.
+
+        Args:
+            key: Its key.
+            make: Returns the value and its size [B].
+        """
+        held = self._values.get(key)
+        if held is not None:
+            self._values.move_to_end(key)
+            return held[0]
+        value, size = make()
+        self._values[key] = (value, size)
+        self.nbytes += size
+        while self.nbytes > self.capacity and len(self._values) > 1:
+            _, (_, freed) = self._values.popitem(last=False)
+            self.nbytes -= freed
+        return value
 
 
 class FrameAccess:
     """Reads single images of episodes. Not thread-safe; a copy in another process opens its own files."""
 
-    def __init__(self, cache_bytes: int = INDEX_BYTES) -> None:
+    def __init__(self, cache_bytes: int = _INDEX_BYTES) -> None:
         """Start with nothing read.
 
         Args:

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from rcs_data.errors import InvalidSetup, require_fields
 from rcs_data.files.feature import Feature
 from rcs_data.files.output import OnProgress
-from rcs_data.read.cache import ByteCache
 from rcs_data.read.episode_record import EpisodeRecord
-from rcs_data.read.frame_access import INDEX_BYTES, FrameAccess
+from rcs_data.read.frame_access import ByteCache, FrameAccess
 from rcs_data.read.scale import Scaler, whole_size
 from rcs_data.read.statistics import RunningStatistics, Statistics, check_finite
 from rcs_data.read.trajectory import action_layout, camera_features, state_layout
@@ -141,21 +140,8 @@ class Windows(Sequence[Window]):
                 "a step" if pad == "repeat" else f"the {history + horizon - 1} steps of one window; use pad='repeat'"
             )
             raise InvalidSetup(f"None of the {len(self.episodes)} episodes of {dataset.path} has {needed}.")
-        self._cache_bytes = cache_bytes
-        self._forget()
-
-    def _forget(self) -> None:
-        self._vectors: ByteCache[_Vectors] = ByteCache(self._cache_bytes)
-        self._frames = FrameAccess(INDEX_BYTES)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Drop the caches: another process fills its own."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("_vectors", "_frames")}
-
-    def __setstate__(self, values: dict[str, Any]) -> None:
-        """Start in another process with empty caches."""
-        self.__dict__.update(values)
-        self._forget()
+        self._vectors: ByteCache[_Vectors] = ByteCache(cache_bytes)
+        self._frames = FrameAccess()
 
     def __len__(self) -> int:
         return self._ends[-1] if self._ends else 0
