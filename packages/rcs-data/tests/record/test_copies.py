@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rcs_data import Dataset, DatasetWriter, check
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
-from rcs_data.record.copies import Files
+from rcs_data.record.writer import Files
 
 if TYPE_CHECKING:
     from conftest import MakeInfo, Record

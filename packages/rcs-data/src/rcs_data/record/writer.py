@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from rcs_data.errors import DatasetError
+from rcs_data.errors import CorruptEpisode, DatasetError
+from rcs_data.files.about import checked_about
 from rcs_data.files.closing import Closing
-from rcs_data.files.durable import disk_errors, remove_folder, sync_folder, write_file
+from rcs_data.files.durable import HashedFile, disk_errors, remove_folder, sync_folder, unsealed, write_file
 from rcs_data.files.info import DatasetInfo, differences
 from rcs_data.files.layout import (
     DATASET_FILE,
+    EPISODE_FILE,
     EPISODES_FOLDER,
+    FRAMES_FILE,
     HISTORY_FOLDER,
     INDEX_FILE,
     OPEN_FOLDER,
+    STEPS_FILE,
     check_episode_id,
     check_path,
     episode_folder,
@@ -36,12 +41,14 @@ from rcs_data.index.history import finish_edit
 from rcs_data.index.index import Index
 from rcs_data.read.episode_record import EpisodeRecord
 from rcs_data.record.compact import publish
-from rcs_data.record.copies import Files, adopt, link, rewrite
+from rcs_data.record.copies import link, rewrite
 from rcs_data.record.episode_writer import EpisodeWriter, refuse_fork
 from rcs_data.record.recover import Leftovers, RecoverReport, settle_leftovers
 
 _log = logging.getLogger(__name__)
 
+Files = Mapping[str, bytes | memoryview]
+"""The contents of files by name."""
 MOST_DIFFERENCES = 10
 """So many differences of another setup are named; the rest are counted."""
 
@@ -154,8 +161,10 @@ class DatasetWriter(Closing):
     def adopt(self, episode_id: str, files: Files) -> None:
         """Take in a complete episode that was recorded into another dataset of the same info, byte for byte.
 
+        A kill leaves an open episode without rows, which the next writer removes, or a complete one.
+
         Args:
-            episode_id: The episode; what a dead worker left of it is removed.
+            episode_id: The episode. No writer may be recording it; what a dead one left of it is removed.
             files: The contents of all files of its folder, by name.
 
         Raises:
@@ -164,7 +173,37 @@ class DatasetWriter(Closing):
             DatasetError: An episode has this name, the writer is closed, or the disk fails.
         """
         self._require_open(f"take in episode {episode_id!r}")
-        adopt(self._index, self.info, episode_id, files)
+        check_episode_id(episode_id)
+        expected = {EPISODE_FILE, STEPS_FILE, *([FRAMES_FILE] if self.info.has_images else [])}
+        if set(files) != expected:
+            raise CorruptEpisode(
+                f"Episode {episode_id!r} came with the files {', '.join(sorted(files)) or '(none)'}; "
+                f"an episode of this dataset has {', '.join(sorted(expected))}."
+            )
+        folder = open_folder(self.path, episode_id)
+        description = bytes(files[EPISODE_FILE])
+        about = checked_about(unsealed(description, folder / EPISODE_FILE), folder / EPISODE_FILE)
+        hashes = {name: hashlib.sha256(data).hexdigest() for name, data in files.items() if name != EPISODE_FILE}
+        if about["id"] != episode_id or about["sha256"] != hashes:
+            raise CorruptEpisode(f"Episode {episode_id!r} did not arrive as it was written: an id or a hash differs.")
+        if episode_id in self._index.refresh():
+            raise DatasetError(
+                f"There already is an episode {episode_id!r} in {self.path}; remove it, or choose another id."
+            )
+        with disk_errors(f"write episode {episode_id!r}", folder):
+            if folder.exists():
+                remove_folder(folder, new_trash(self.path, episode_id))
+            folder.mkdir(parents=True)
+            for name in hashes:
+                file = HashedFile(folder / name)
+                try:
+                    file.write(files[name])
+                    file.complete()
+                finally:
+                    file.close()
+            write_file(folder / EPISODE_FILE, description)
+            sync_folder(folder)
+        publish(self._index, episode_id)
 
     def copy(
         self,
