@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 from collections.abc import Iterable
 from typing import Any
 
@@ -63,6 +64,23 @@ class DatasetError(RcsError, OSError):
 
 class CorruptEpisode(RcsError, ValueError):
     """A stored episode is incomplete or its bytes are not what was written."""
+
+
+def package_of(name: str, extra: str, purpose: str) -> Any:
+    """Import and return a package of an extra, or a module of it.
+
+    Args:
+        name: The package or module.
+        extra: The extra, such as "hdf5".
+        purpose: What needs which package, as a sentence without its end.
+
+    Raises:
+        MissingDependency: It is not installed; the message names the extra.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as err:
+        raise MissingDependency(f"{purpose}: pip install 'rcs-data[{extra}]'.") from err
 
 
 def require_fields(kind: str, given: Iterable[object], valid: Iterable[str]) -> None:

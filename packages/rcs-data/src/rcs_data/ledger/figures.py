@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rcs_data.errors import MissingDependency
+from rcs_data.errors import package_of
 from rcs_data.files.durable import disk_errors, write_file
 from rcs_data.ledger.groups import Group, domains_in_words, groups_of
 from rcs_data.ledger.ledger import Ledger
@@ -48,12 +48,9 @@ def write_figures(ledger: Ledger, by: str) -> Path:
 
 def _drawn(groups: Sequence[Group], by: str, kind: str) -> bytes:
     """Return the figure as a file; the same figures are the same bytes."""
-    try:
-        import matplotlib  # pyright: ignore[reportMissingImports]
-        from matplotlib.figure import Figure  # pyright: ignore[reportMissingImports]
-    except ImportError as err:
-        raise MissingDependency("Figures need Matplotlib: pip install 'rcs-data[figures]'.") from err
-    mpl: Any = matplotlib
+    mpl, figures = (
+        package_of(name, "figures", "Figures need Matplotlib") for name in ("matplotlib", "matplotlib.figure")
+    )
     is_curve = all(isinstance(one.value, int | float) for one in groups)
     series = list(dict.fromkeys(one.series for one in groups))
     values = list(dict.fromkeys(one.value for one in groups))
@@ -64,7 +61,7 @@ def _drawn(groups: Sequence[Group], by: str, kind: str) -> bytes:
     with mpl.rc_context(style):
         width = 5.0 if is_curve else max(2.5, 0.5 + 0.45 * len(values) * max(len(series), 1))
         has_room = len(series) <= _INSIDE
-        figure = Figure(figsize=(min(width, 12.0) + (0.0 if has_room else 3.0), 3.0), layout="constrained")
+        figure = figures.Figure(figsize=(min(width, 12.0) + (0.0 if has_room else 3.0), 3.0), layout="constrained")
         axes: Any = figure.add_subplot()
         for number, name in enumerate(series):
             own = [one for one in groups if one.series == name]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import functools
-import importlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rcs_data.errors import MissingDependency
+from rcs_data.errors import package_of
 from rcs_data.read.torch_memory import SharedBlock, reused_tensor
 
 Tensors = dict[str, Any]
@@ -144,8 +143,4 @@ def _channels_first(images: Any) -> Any:
     return images.unsqueeze(2) if images.dim() == 4 else images.permute(0, 1, 4, 2, 3)
 
 
-def _torch() -> Any:
-    try:
-        return importlib.import_module("torch")
-    except ImportError as err:
-        raise MissingDependency("Tensors need torch: pip install 'rcs-data[torch]'.") from err
+_torch = functools.partial(package_of, "torch", "torch", "Tensors need torch")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import re
 from collections.abc import Generator, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs_data.convert.observations import kept_dtype
-from rcs_data.errors import CorruptEpisode, InvalidSetup, MissingDependency, RcsError
+from rcs_data.errors import CorruptEpisode, InvalidSetup, RcsError, package_of
 from rcs_data.files.feature import Feature
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
-def load_h5py() -> Any:
-    """Return the package h5py; MissingDependency if it is not installed."""
-    try:
-        return importlib.import_module("h5py")
-    except ImportError as err:
-        raise MissingDependency("HDF5 files need h5py: pip install 'rcs-data[hdf5]'.") from err
+load_h5py = partial(package_of, "h5py", "hdf5", "HDF5 files need h5py")
+"""Returns the package h5py; MissingDependency if it is not installed."""
 
 
 def is_hdf5(path: Path) -> bool:

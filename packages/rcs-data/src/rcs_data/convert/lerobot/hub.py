@@ -7,9 +7,9 @@ HF_HOME.
 from __future__ import annotations
 
 import glob
-import importlib
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from rcs_data.convert.lerobot.import_ import is_lerobot
 from rcs_data.convert.lerobot.mapping import feature_mapping
 from rcs_data.convert.lerobot.source import LeRobotSource
 from rcs_data.convert.options import ImportOptions, selected_numbers
-from rcs_data.errors import DatasetError, InvalidSetup, MissingDependency, RcsError
+from rcs_data.errors import DatasetError, InvalidSetup, RcsError, package_of
 
 # LeRobot looks for datasets of this tag; the Hub's viewer needs the paths.
 _CARD = """---
@@ -30,6 +30,7 @@ configs:
 
 A LeRobotDataset {version}: {episodes} episodes, {frames} frames, {fps:g} frames per second, robot {robot}.
 """
+_load = partial(package_of, "huggingface_hub", "hub", "The Hub needs huggingface_hub")
 
 
 def pull(
@@ -124,13 +125,6 @@ def push(path: str | Path, repo: str, *, private: bool = False) -> str:
             api.delete_tag(**where, tag=source.version)
         api.create_tag(**where, tag=source.version)
     return address
-
-
-def _load() -> Any:
-    try:
-        return importlib.import_module("huggingface_hub")
-    except ImportError as err:
-        raise MissingDependency("The Hub needs huggingface_hub: pip install 'rcs-data[hub]'.") from err
 
 
 @contextmanager

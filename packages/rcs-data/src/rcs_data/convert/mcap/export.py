@@ -12,7 +12,6 @@ has the time of the observation before it, since that is when it was commanded.
 
 from __future__ import annotations
 
-import importlib
 import json
 from collections.abc import Iterator
 from datetime import datetime, timezone
@@ -27,7 +26,7 @@ from rcs_data.convert.images import as_png
 from rcs_data.convert.observations import export_report, kept_info
 from rcs_data.convert.options import ExportOptions, ExportReport, refuse_unused, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
-from rcs_data.errors import MissingDependency
+from rcs_data.errors import package_of
 from rcs_data.files.codec import decode_frame
 from rcs_data.files.feature import Feature
 from rcs_data.files.flags import camera_of
@@ -212,10 +211,7 @@ def _image(feature: Feature, data: bytes) -> Any:
 
 def load(name: str) -> Any:
     """Return a module of the extra `mcap`; MissingDependency if it is not installed."""
-    try:
-        return importlib.import_module(name)
-    except ImportError as err:
-        raise MissingDependency("MCAP files need mcap and its schemas: pip install 'rcs-data[mcap]'.") from err
+    return package_of(name, "mcap", "MCAP files need mcap and its schemas")
 
 
 @cache

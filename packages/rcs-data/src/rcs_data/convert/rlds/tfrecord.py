@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.errors import CorruptEpisode, InvalidSetup, MissingDependency
+from rcs_data.errors import CorruptEpisode, InvalidSetup, package_of
 
 Values = Iterable[bytes] | NDArray[np.float32] | NDArray[np.int64]
 """A value in an Example: byte strings, floats or integers."""
@@ -29,11 +29,8 @@ _LENGTH_BYTES, _CHECKSUM_BYTES = 8, 4
 
 def load_tfrecord() -> Any:
     """Return the package tfrecord; MissingDependency if it is not installed."""
-    try:
-        importlib.import_module("tfrecord.writer")
-        return importlib.import_module("tfrecord")
-    except ImportError as err:
-        raise MissingDependency("RLDS needs tfrecord: pip install 'rcs-data[rlds]'.") from err
+    package_of("tfrecord.writer", "rlds", "RLDS needs tfrecord")
+    return importlib.import_module("tfrecord")
 
 
 class ShardWriter:
