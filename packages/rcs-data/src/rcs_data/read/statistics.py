@@ -18,6 +18,8 @@ Normalisation = Literal["mean_std", "min_max", "quantiles"]
 _BINS = 16384
 # The finest bin is 2^-80 wide. Widths double from there, so that bins are nested.
 _FINEST = -80
+# Vectors that are counted at a time: each time costs a millisecond per number.
+_ROWS_AT_A_TIME = 1 << 14
 _ARRAYS = ("mean", "std", "min", "max", "q01", "q99")
 
 
@@ -116,7 +118,8 @@ class RunningStatistics:
         Args:
             size: Numbers per vector.
         """
-        self.count = 0
+        self.count = self._counted = 0
+        self._waiting: list[NDArray[np.float64]] = []
         self._mean = np.zeros(size)
         self._square = np.zeros(size)
         self._low = np.full(size, np.inf)
@@ -129,21 +132,17 @@ class RunningStatistics:
         Raises:
             InvalidSetup: The shape is wrong, or a number is not finite.
         """
-        numbers = np.asarray(values, np.float64)
+        numbers = np.array(values, np.float64)
         if numbers.ndim != 2 or numbers.shape[1] != len(self._mean):
             raise InvalidSetup(f"Vectors have shape {numbers.shape}; expected (rows, {len(self._mean)}).")
-        check_finite(numbers)
-        if not len(numbers):
-            return
-        mean = numbers.mean(axis=0)
-        apart, count = mean - self._mean, self.count + len(numbers)
-        self._square += ((numbers - mean) ** 2).sum(axis=0) + apart**2 * self.count * len(numbers) / count
-        self._mean += apart * len(numbers) / count
-        self._low = np.minimum(self._low, numbers.min(axis=0))
-        self._high = np.maximum(self._high, numbers.max(axis=0))
-        self.count = count
-        for bins, column in zip(self._bins, numbers.T, strict=True):
-            bins.add(column)
+        is_finite = np.isfinite(numbers)
+        if not is_finite.all():
+            row, column = np.argwhere(~is_finite)[0]
+            raise InvalidSetup(f"Number {column} of vector {row} is {numbers[row, column]}; all must be finite.")
+        self._waiting.append(numbers)
+        self.count += len(numbers)
+        if self.count - self._counted >= _ROWS_AT_A_TIME:
+            self._count_waiting()
 
     def result(self) -> Statistics:
         """Return the statistics so far.
@@ -153,14 +152,13 @@ class RunningStatistics:
         """
         if not self.count:
             raise InvalidSetup("There are no vectors to take statistics of.")
-        low, high = self._low, self._high
         q01, q99 = self.quantiles((0.01, 0.99))
         return Statistics(
             count=self.count,
             mean=self._mean.copy(),
             std=np.sqrt(self._square / self.count),
-            min=low.copy(),
-            max=high.copy(),
+            min=self._low.copy(),
+            max=self._high.copy(),
             q01=q01,
             q99=q99,
         )
@@ -171,20 +169,24 @@ class RunningStatistics:
         Args:
             shares: From 0 to 1; 0.5 for the median.
         """
+        self._count_waiting()
         found = [[bins.quantile(share) for bins in self._bins] for share in shares]
         return np.clip(found, self._low, self._high)
 
-
-def check_finite(vectors: NDArray[np.float64]) -> None:
-    """Refuse vectors, shape (rows, size), with a number that is NaN or infinite.
-
-    Raises:
-        InvalidSetup: There is one; the message has its place.
-    """
-    is_finite = np.isfinite(vectors)
-    if not is_finite.all():
-        row, column = np.argwhere(~is_finite)[0]
-        raise InvalidSetup(f"Number {column} of vector {row} is {vectors[row, column]}; all must be finite.")
+    def _count_waiting(self) -> None:
+        if self.count == self._counted:
+            return
+        numbers = np.concatenate(self._waiting)
+        mean = numbers.mean(axis=0)
+        apart, count = mean - self._mean, self.count
+        self._square += ((numbers - mean) ** 2).sum(axis=0) + apart**2 * self._counted * len(numbers) / count
+        self._mean += apart * len(numbers) / count
+        self._low = np.minimum(self._low, numbers.min(axis=0))
+        self._high = np.maximum(self._high, numbers.max(axis=0))
+        for bins, column in zip(self._bins, numbers.T, strict=True):
+            bins.add(column)
+        self._counted = count
+        self._waiting.clear()
 
 
 class _Bins:

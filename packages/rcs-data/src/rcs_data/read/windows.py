@@ -23,7 +23,7 @@ from rcs_data.files.output import OnProgress
 from rcs_data.read.episode_record import EpisodeRecord
 from rcs_data.read.frame_access import ByteCache, FrameAccess
 from rcs_data.read.scale import Scaler, whole_size
-from rcs_data.read.statistics import RunningStatistics, Statistics, check_finite
+from rcs_data.read.statistics import RunningStatistics, Statistics
 from rcs_data.read.trajectory import action_layout, camera_features, state_layout
 
 if TYPE_CHECKING:
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 Padding = Literal["repeat", "drop"]
 
 _VECTOR_BYTES = 1 << 30
-# Statistics of many rows at a time take little longer than those of one short episode.
-_ROWS_AT_A_TIME = 1 << 14
 _Vectors = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -251,21 +249,12 @@ class Windows(Sequence[Window]):
             "state": RunningStatistics(self.state_layout.size),
             "actions": RunningStatistics(self.action_layout.size),
         }
-        waiting: list[_Vectors] = []
-        rows = 0
         for number, episode in enumerate(self.episodes):
-            vectors = self._episode_vectors(number)
-            for values in vectors:
+            for statistics, values in zip(running.values(), self._episode_vectors(number), strict=True):
                 try:
-                    check_finite(values)
+                    statistics.add(values)
                 except InvalidSetup as err:
                     raise InvalidSetup(f"Episode {episode.id!r}: {err}") from err
-            waiting.append(vectors)
-            rows += len(vectors[0])
-            if rows > _ROWS_AT_A_TIME or number == len(self.episodes) - 1:
-                for statistics, parts in zip(running.values(), zip(*waiting, strict=True), strict=True):
-                    statistics.add(np.concatenate(parts))
-                waiting, rows = [], 0
             if on_progress is not None:
                 on_progress(number + 1, len(self.episodes))
         return {name: statistics.result() for name, statistics in running.items()}

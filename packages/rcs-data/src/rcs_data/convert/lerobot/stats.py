@@ -18,8 +18,6 @@ Stats = dict[str, Any]
 # As many frames as LeRobot samples of an episode of up to 500, and about as many pixels of each.
 _SAMPLED_FRAMES = 100
 _SAMPLED_EDGE = 150
-# Rows that are added to the dataset's statistics at a time: each call takes a millisecond per number.
-_ROWS_AT_A_TIME = 4096
 
 
 def episode_stats(columns: dict[str, NDArray[Any]]) -> dict[str, Stats]:
@@ -81,23 +79,19 @@ class DatasetStats:
         """Start empty."""
         self._running: dict[str, RunningStatistics] = {}
         self._histograms: dict[str, ImageHistogram] = {}
-        self._waiting: list[dict[str, NDArray[Any]]] = []
-        self._rows = self._waiting_rows = 0
+        self._rows = 0
 
     def add(self, columns: dict[str, NDArray[Any]], histograms: dict[str, ImageHistogram]) -> None:
         """Add the next episode: its numbers by column, shape (rows, size), and its images."""
-        rows = len(next(iter(columns.values())))
-        self._waiting.append(columns)
-        self._rows += rows
-        self._waiting_rows += rows
-        if self._waiting_rows >= _ROWS_AT_A_TIME:
-            self._flush()
+        self._rows += len(next(iter(columns.values())))
+        for name, values in columns.items():
+            running = self._running.setdefault(name, RunningStatistics(values.shape[1]))
+            running.add(values[np.isfinite(values).all(axis=1)])
         for name, histogram in histograms.items():
             self._histograms.setdefault(name, ImageHistogram()).merge(histogram)
 
     def to_json(self) -> dict[str, Stats]:
         """Return the statistics by column, as in `stats.json`."""
-        self._flush()
         stats: dict[str, Stats] = {}
         for name, running in self._running.items():
             if running.count:
@@ -106,10 +100,3 @@ class DatasetStats:
                 found |= dict(zip(QUANTILES, running.quantiles(tuple(QUANTILES.values())), strict=True))
                 stats[name] = {what: value.tolist() for what, value in found.items()} | {"count": [self._rows]}
         return stats | {name: histogram.stats() for name, histogram in self._histograms.items()}
-
-    def _flush(self) -> None:
-        for name in self._waiting[0] if self._waiting else ():
-            rows = np.concatenate([columns[name] for columns in self._waiting]).astype(np.float64)
-            running = self._running.setdefault(name, RunningStatistics(rows.shape[1]))
-            running.add(rows[np.isfinite(rows).all(axis=1)])
-        self._waiting, self._waiting_rows = [], 0
