@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rcs_data import Dataset, check, edit
-from rcs_data.edit.rate import kept_rows
+from rcs_data.edit.rate import from_rotvec, from_rpy, kept_rows, multiply, normalized, to_rotvec, to_rpy
 from rcs_data.errors import InvalidSetup
 from rcs_data.files.flags import FrameFlag
 
@@ -88,3 +88,32 @@ def test_a_held_value_is_that_of_its_row(dataset: Path) -> None:
 def test_what_is_no_number_is_no_rate(dataset: Path, frequency: Any) -> None:
     with pytest.raises(InvalidSetup, match=r"frequency is .*; valid is a number"):
         edit.resample(dataset, frequency)
+
+
+def same(a: np.ndarray, b: np.ndarray) -> bool:
+    return bool(abs(abs(a @ b) - 1) < 1e-12)
+
+
+def test_there_and_back() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        rotation = normalized(rng.normal(size=4))
+        assert same(from_rotvec(to_rotvec(rotation)), rotation)
+        assert same(from_rpy(to_rpy(rotation)), rotation)
+
+
+@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2])
+def test_at_a_quarter_turn_of_pitch_the_rotation_is_kept(pitch: float) -> None:
+    rotation = from_rpy(np.array([0.4, pitch, 0.9]))
+    assert to_rpy(rotation)[2] == 0.0
+    assert same(from_rpy(to_rpy(rotation)), rotation)
+
+
+def test_turns_about_one_axis_add_up() -> None:
+    axis = normalized(np.array([0.3, -0.2, 0.9]))
+    both = multiply(from_rotvec(0.7 * axis), from_rotvec(0.4 * axis))
+    np.testing.assert_allclose(to_rotvec(both), 1.1 * axis, atol=1e-12)
+
+
+def test_no_turn_is_no_rotation() -> None:
+    np.testing.assert_array_equal(to_rotvec(from_rotvec(np.zeros(3))), np.zeros(3))

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs_data.edit.rotations import IDENTITY, Quaternion, from_rotvec, from_rpy, multiply, normalized, to_rotvec, to_rpy
 from rcs_data.edit.rows import take_rows
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
@@ -23,6 +22,10 @@ from rcs_data.files.info import DatasetInfo
 from rcs_data.files.output import OnProgress
 from rcs_data.options import require_number
 from rcs_data.read.content import flat_numbers
+
+Quaternion = NDArray[np.float64]
+"""A rotation as a unit quaternion xyzw, shape (4,)."""
+IDENTITY: Quaternion = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | None = None) -> None:
@@ -78,7 +81,7 @@ def resampled(rows: pa.Table, info: DatasetInfo, frequency: float) -> pa.Table:
     is_relative = info.setup.get("relative") == "last_step"
     for feature in info.features:
         column = rows.column(feature.key).combine_chunks()
-        if feature.key.startswith("action/") and is_relative and feature.key.split("/")[-1] in (*_TOGETHER, TWIST):
+        if feature.key.startswith("action/") and is_relative and feature.key.split("/")[-1] in _TOGETHER:
             columns[feature.key] = _together(column, feature, kept, info.frequency)
         elif feature.key in ("reward", "time/period"):
             columns[feature.key] = _summed(column, kept)
@@ -136,15 +139,15 @@ def _flags(column: pa.Array, feature: Feature, rows: pa.Table, info: DatasetInfo
     return pa.array(flags)
 
 
-def _joints(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _joints(steps: NDArray[np.float64], _: float) -> NDArray[np.float64]:
     return steps.sum(axis=0)
 
 
-def _tquat(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _tquat(steps: NDArray[np.float64], _: float) -> NDArray[np.float64]:
     return np.concatenate([steps[:, :3].sum(axis=0), _turned(normalized(step[3:]) for step in steps)])
 
 
-def _xyzrpy(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _xyzrpy(steps: NDArray[np.float64], _: float) -> NDArray[np.float64]:
     return np.concatenate([steps[:, :3].sum(axis=0), to_rpy(_turned(from_rpy(step[3:]) for step in steps))])
 
 
@@ -159,18 +162,59 @@ def _turned(turns: Iterable[Quaternion]) -> Quaternion:
     return functools.reduce(lambda before, turn: multiply(turn, before), turns, IDENTITY)
 
 
-TWIST = "twist"
-
-_TOGETHER: dict[str, Any] = {"joints": _joints, "tquat": _tquat, "xyzrpy": _xyzrpy}
-"""How to combine several relative actions, by the last word of their key."""
+# How to combine several relative actions, given their rate [Hz], by the last word of their key.
+_TOGETHER = {"joints": _joints, "tquat": _tquat, "xyzrpy": _xyzrpy, "twist": _twist}
 
 
 def _together(column: pa.Array, feature: Feature, kept: NDArray[np.int64], frequency: float) -> pa.Array:
     values = flat_numbers(column).reshape(len(column), -1)
-    name = feature.key.split("/")[-1]
-    do = functools.partial(_twist, frequency=frequency) if name == TWIST else _TOGETHER[name]
+    combined = _TOGETHER[feature.key.split("/")[-1]]
     whole = np.zeros((len(kept), feature.size), feature.numpy_dtype)
     for i, group in enumerate(_groups(kept)):
-        whole[i + 1] = do(values[group].astype(np.float64))
+        whole[i + 1] = combined(values[group].astype(np.float64), frequency)
     mask = pa.array(np.arange(len(kept)) == 0)
     return pa.FixedSizeListArray.from_arrays(pa.array(whole.reshape(-1)), feature.size, mask=mask)
+
+
+def multiply(second: Quaternion, first: Quaternion) -> Quaternion:
+    """Return the quaternion, shape (4,), of one rotation after another."""
+    a, b = second[:3], first[:3]
+    vector = second[3] * b + first[3] * a + np.cross(a, b)
+    return np.append(vector, second[3] * first[3] - a @ b)
+
+
+def normalized(quaternion: Quaternion) -> Quaternion:
+    """Return a quaternion, shape (4,), scaled to norm 1."""
+    return quaternion / np.linalg.norm(quaternion)
+
+
+def from_rotvec(rotvec: NDArray[np.float64]) -> Quaternion:
+    """Return the quaternion of a rotation vector, axis times angle [rad], shape (3,)."""
+    half = float(np.linalg.norm(rotvec)) / 2
+    return np.append(rotvec / 2 * np.sinc(half / math.pi), math.cos(half))
+
+
+def to_rotvec(quaternion: Quaternion) -> NDArray[np.float64]:
+    """Return the rotation vector [rad], shape (3,), of at most half a turn."""
+    upper = quaternion if quaternion[3] >= 0 else -quaternion
+    sine = float(np.linalg.norm(upper[:3]))
+    if sine < 1e-12:
+        return 2 * upper[:3]
+    return upper[:3] * (2 * math.atan2(sine, float(upper[3])) / sine)
+
+
+def from_rpy(rpy: NDArray[np.float64]) -> Quaternion:
+    """Return the quaternion of roll, pitch, yaw [rad], shape (3,), about the fixed axes x, y, z in this order."""
+    about_x, about_y, about_z = (from_rotvec(angle * axis) for angle, axis in zip(rpy, np.eye(3), strict=True))
+    return multiply(about_z, multiply(about_y, about_x))
+
+
+def to_rpy(quaternion: Quaternion) -> NDArray[np.float64]:
+    """Return roll, pitch, yaw [rad], shape (3,); yaw is 0 where the pitch is a quarter turn."""
+    x, y, z, w = quaternion
+    sine = float(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    if abs(sine) > 1 - 1e-12:
+        return np.array([2 * math.atan2(x, w), math.copysign(math.pi / 2, sine), 0.0])
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.array([roll, math.asin(sine), yaw])
