@@ -35,7 +35,7 @@ def ids(dataset: Path) -> list[str]:
 
 
 def only(dataset: Path) -> Mending:
-    (mending,) = repair(dataset).mendings
+    (mending,) = repair(dataset)
     return mending
 
 
@@ -47,8 +47,7 @@ def scribble(path: Path, start: int, size: int = 64) -> None:
 
 def test_a_whole_dataset_is_left_alone(dataset: Path) -> None:
     before = {path: path.read_bytes() for path in dataset.rglob("*") if path.is_file()}
-    report = repair(dataset)
-    assert (report.mendings, str(report)) == ((), "nothing to repair")
+    assert repair(dataset) == []
     assert {path: path.read_bytes() for path in dataset.rglob("*") if path.is_file()} == before
 
 
@@ -70,7 +69,7 @@ def test_a_folder_that_is_named_like_an_address_is_a_folder(
     dataset.rename(tmp_path / "run:1")
     monkeypatch.chdir(tmp_path)
     assert check("run:1").is_ok
-    assert repair("run:1").mendings == ()
+    assert repair("run:1") == []
 
 
 def test_the_index_is_made_anew_from_the_episodes(dataset: Path) -> None:
@@ -79,7 +78,7 @@ def test_the_index_is_made_anew_from_the_episodes(dataset: Path) -> None:
     assert [(f.severity, f.file) for f in check(dataset).damage] == [("damage", INDEX)]
     with pytest.raises(DatasetError, match="missing"):
         Dataset.open(dataset)
-    assert {mending.what for mending in repair(dataset).mendings} == {"restored", "recovered"}
+    assert {mending.what for mending in repair(dataset)} == {"restored", "recovered"}
     assert {episode.id: episode.entry for episode in Dataset.open(dataset)} == before
     assert not check(dataset).findings
 
@@ -113,7 +112,7 @@ def test_an_index_and_a_description_that_are_lost_are_told(dataset: Path) -> Non
     for name in ("dataset.json", "history/dataset.json"):
         scribble(dataset / name, 100)
     scribble(dataset / INDEX, 100)
-    assert {mending.what for mending in repair(dataset).mendings} == {"failed"}
+    assert {mending.what for mending in repair(dataset)} == {"failed"}
     assert len(check(dataset).damage) == 2
 
 
@@ -126,7 +125,7 @@ def test_what_a_killed_writer_left_is_recovered_and_removed(
             episode.add(row, np.zeros(STATE))
     new_trash(dataset, "gone").mkdir(parents=True)
     assert {f.kind for f in check(dataset).findings} == {"left_open", "left_over"}
-    assert [(m.what, m.episode) for m in repair(dataset).mendings] == [("recovered", "late")]
+    assert [(m.what, m.episode) for m in repair(dataset)] == [("recovered", "late")]
     assert Dataset.open(dataset)["late"].length == 4
     assert not list(dataset.rglob("*gone*"))
     assert {f.kind for f in check(dataset).findings} == {"no_verdict"}
@@ -221,7 +220,7 @@ def test_an_episode_of_a_newer_layout_is_no_damage_to_be_mended(dataset: Path) -
     path = file(dataset, "episode.json")
     newer = sealed({**unsealed(path.read_bytes(), path), "schema_version": 99})
     path.write_bytes(newer)
-    assert not repair(dataset).mendings
+    assert not repair(dataset)
     assert path.read_bytes() == newer
 
 
@@ -237,11 +236,11 @@ def test_edited_episodes_survive_the_loss_of_the_index(dataset: Path, is_pruned:
         edit.prune(dataset)
     before, info = contents(dataset), Dataset.open(dataset).info
     (dataset / INDEX).unlink()
-    mendings = repair(dataset).mendings
+    mendings = repair(dataset)
     assert (contents(dataset), Dataset.open(dataset).info) == (before, info)
     assert not check(dataset).damage
     assert not any(mending.what == "removed" for mending in mendings)
-    assert not repair(dataset).mendings
+    assert not repair(dataset)
 
 
 def damage_line(dataset: Path) -> None:
@@ -257,7 +256,7 @@ def test_a_damaged_line_costs_no_edited_episode(dataset: Path) -> None:
     edit.prune(dataset)
     before = contents(dataset)
     damage_line(dataset)
-    assert any(mending.what == "recovered" and mending.episode == ID for mending in repair(dataset).mendings)
+    assert any(mending.what == "recovered" and mending.episode == ID for mending in repair(dataset))
     assert contents(dataset) == before
     assert not check(dataset).damage
 

@@ -7,9 +7,9 @@ restored from a backup or not at all.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from rcs_data.check.dataset import Depth, check
 from rcs_data.check.folder import check_index, whole_entries
@@ -51,29 +51,17 @@ class Mending:
         return f"{self.what}{name}: {self.message}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class RepairReport:
-    """The result of `repair`."""
-
-    mendings: tuple[Mending, ...]
-    """The repairs, in order; none if nothing was damaged."""
-
-    def __str__(self) -> str:
-        return "\n".join(map(str, self.mendings)) or "nothing to repair"
-
-    def to_json(self) -> list[dict[str, Any]]:
-        """Return it as JSON values."""
-        return [asdict(mending) for mending in self.mendings]
-
-
 def repair(
     path: str | Path,
     *,
     depth: Depth = "frames",
     workers: int | None = None,
     on_progress: OnProgress | None = None,
-) -> RepairReport:
+) -> list[Mending]:
     """Repair what can be repaired, arguments as for `check`; a second call does nothing.
+
+    Returns:
+        The repairs, in order; none if nothing was damaged.
 
     Raises:
         DatasetError: There is no dataset, its layout is of another version, another process writes to it, or the disk
@@ -85,7 +73,7 @@ def repair(
     with disk_errors("repair", root):
         mendings += [_done("removed", f"{left.name}, left by a killed program") for left in remove_leftovers(target)]
     if mendings and not has_dataset(root) and not (root / DATASET_FILE).exists():
-        return RepairReport(mendings=tuple(mendings))
+        return mendings
     check_index(root)  # before a lock is created
     with DatasetLock.writer(root), disk_errors("repair", root):
         try:
@@ -93,7 +81,7 @@ def repair(
             mendings += _mend_index(root)
             index = Index(root)
         except CorruptEpisode as err:
-            return RepairReport(mendings=(*mendings, _done("failed", str(err))))
+            return [*mendings, _done("failed", str(err))]
         mendings += _settle(index)
         findings = check(root, depth=depth, workers=workers, on_progress=on_progress).findings
         damaged = {f.episode for f in findings if f.severity == "damage" and f.kind not in ("former", "other_layout")}
@@ -101,7 +89,7 @@ def repair(
         for folder in sorted({root / Path(f.file).parent for f in findings if f.kind == "former"}):
             quarantine(root, folder)
             mendings.append(_done("quarantined", f"{folder.name}, a damaged former episode; undo cannot bring it back"))
-    return RepairReport(mendings=tuple(mendings))
+    return mendings
 
 
 def _mend_index(root: Path) -> list[Mending]:

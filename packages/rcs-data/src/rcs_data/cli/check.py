@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json as json_
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import tyro
@@ -12,7 +12,7 @@ from rich.text import Text
 
 from rcs_data import CheckReport, check, recover
 from rcs_data.check.dataset import Depth
-from rcs_data.check.repair import RepairReport, repair
+from rcs_data.check.repair import Mending, repair
 from rcs_data.cli.console import plain_console, progress
 from rcs_data.files.layout import has_dataset
 
@@ -43,29 +43,29 @@ class CheckCommand:
 
     def run(self) -> int:
         """Repair with `--repair`, check, and print the findings."""
-        mended: RepairReport | None = None
+        mended: list[Mending] | None = None
         if self.repair:
             with progress("Looking for damage") as on_progress:
                 mended = repair(self.path, depth=self.depth, on_progress=on_progress)
-        if mended is not None and mended.mendings and not has_dataset(self.path):  # but what was to become one
+        if mended and not has_dataset(self.path):  # but what was to become one
             report = CheckReport(path=self.path, episodes=0, rows=0, frames=0, findings=())
         else:
             with progress("Checking") as on_progress:
                 report = check(self.path, depth=self.depth, on_progress=on_progress)
         if self.json:
-            repaired = None if mended is None else mended.to_json()
+            repaired = None if mended is None else [asdict(mending) for mending in mended]
             print(json_.dumps({**report.to_json(), "repair": repaired}, indent=1, ensure_ascii=False))
         else:
             _show(report, mended)
         return 1 if report.damage or (self.strict and report.warnings) else 0
 
 
-def _show(report: CheckReport, mended: RepairReport | None) -> None:
+def _show(report: CheckReport, mended: list[Mending] | None) -> None:
     console = plain_console()
     if not console.is_terminal:
         console = plain_console(width=_WIDE)
     if mended is not None:
-        console.print(str(mended))
+        console.print("\n".join(map(str, mended)) or "nothing to repair")
     if report.findings:
         table = Table("", "episode", "file", "rows", "what", box=None, pad_edge=False)
         for finding in report.findings:
