@@ -1,4 +1,4 @@
-"""`rcs data check` on the command line: its exit codes, its table, its JSON, its repair."""
+"""`rcs data check` on the command line: its exit codes, its lines, its JSON, its repair."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_whole_dataset_is_told_in_a_line_and_exit_code_0(capsys: pytest.Captur
     ]
 
 
-def test_damage_is_a_line_of_a_table_and_exit_code_1(capsys: pytest.CaptureFixture[str], dataset: Path) -> None:
+def test_damage_is_a_line_and_exit_code_1(capsys: pytest.CaptureFixture[str], dataset: Path) -> None:
     flip(dataset, "b [red]")
     code, told = call(capsys, str(dataset))
     assert code == 1

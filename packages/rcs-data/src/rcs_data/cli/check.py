@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import tyro
-from rich.table import Table
-from rich.text import Text
 
 from rcs_data import CheckReport, check, recover
 from rcs_data.check.dataset import Depth
@@ -16,8 +14,6 @@ from rcs_data.check.repair import Mending, repair
 from rcs_data.cli.console import plain_console, progress
 from rcs_data.files.layout import has_dataset
 
-# Width of a table in a file or pipe [columns]; no line is folded.
-_WIDE = 1000
 _STYLES = {"damage": "bold red", "warning": "yellow"}
 
 
@@ -39,7 +35,7 @@ class CheckCommand:
     repair: bool = False
     """Repair first: restore the index, complete what a kill left, put damaged episodes into the folder `quarantine`."""
     json: bool = False
-    """Print JSON instead of a table."""
+    """Print JSON instead of lines."""
 
     def run(self) -> int:
         """Repair with `--repair`, check, and print the findings."""
@@ -62,17 +58,10 @@ class CheckCommand:
 
 def _show(report: CheckReport, mended: list[Mending] | None) -> None:
     console = plain_console()
-    if not console.is_terminal:
-        console = plain_console(width=_WIDE)
     if mended is not None:
         console.print("\n".join(map(str, mended)) or "nothing to repair")
-    if report.findings:
-        table = Table("", "episode", "file", "rows", "what", box=None, pad_edge=False)
-        for finding in report.findings:
-            kind = Text(finding.severity, _STYLES[finding.severity])
-            place = "" if finding.rows is None else "-".join(str(row) for row in sorted(set(finding.rows)))
-            table.add_row(kind, *map(Text, (finding.episode or "", finding.file, place, finding.message)))
-        console.print(table)
+    for finding in report.findings:
+        console.print(str(finding), style=_STYLES[finding.severity])
     for note in report.notes:
         console.print(f"note: {note}")
     console.print(report.summary)
