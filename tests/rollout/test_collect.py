@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetWriter, compare_steps, edit, recover
 from rcs_data.edit import Part, mix
-from rcs_data.files.layout import open_folder
+from rcs_data.files.layout import OPEN_FOLDER
 from rcs_data.index.index import Index
 from rcs_data.record.compact import publish, seal
 
@@ -95,7 +95,7 @@ def fragment(path: Path, number: int, rows: int, name: str = "") -> None:
     about = {**whole.about, "id": name or whole.id, "success": None, "outcome": {"recovered": True}}
     with DatasetWriter.open(path, whole.info, resume=True) as writer:
         writer.remove_episode(whole.id)
-        opened = open_folder(path, about["id"])
+        opened = path / OPEN_FOLDER / about["id"]
         opened.mkdir()
         seal(opened, whole.info, pieces, about)
         publish(Index(path), about["id"])

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from rcs_data import Dataset, DatasetWriter, Feature, check
 from rcs_data.files.durable import sealed, unsealed
-from rcs_data.files.layout import new_trash, open_folder
+from rcs_data.files.layout import OPEN_FOLDER, new_trash
 
 if TYPE_CHECKING:
     from conftest import MakeInfo, MakeRows
@@ -118,7 +118,7 @@ def test_loose_ends_are_found_unless_a_writer_is_at_them(
     (dataset / "episodes/empty").mkdir()
     found = {(finding.severity, finding.kind, finding.episode) for finding in check(dataset).findings}
     assert found == {("warning", "left_open", "late"), ("warning", "left_over", None), ("warning", "unlisted", None)}
-    assert open_folder(dataset, "late").exists(), "a check changes nothing"
+    assert (dataset / OPEN_FOLDER / "late").exists(), "a check changes nothing"
 
 
 def test_a_damaged_description_is_the_only_finding(dataset: Path) -> None:

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pytest
 from rcs_data import Dataset, DatasetWriter, EpisodeRecord, check, recover
 from rcs_data.errors import DatasetError
-from rcs_data.files.layout import open_folder
+from rcs_data.files.layout import OPEN_FOLDER
 
 if TYPE_CHECKING:
     from conftest import MakeInfo, MakeRows, Record
@@ -165,10 +165,10 @@ def test_a_torn_tail_is_cut_and_an_empty_episode_removed(
                 episode.add(row, np.zeros(STATE))
             episode.abort("for the test")
     for name, size in (("torn", -9), ("headless", 40)):
-        stream = open_folder(tmp_path, name) / "rows.arrows"
+        stream = tmp_path / OPEN_FOLDER / name / "rows.arrows"
         stream.write_bytes(stream.read_bytes()[:size])
-    (open_folder(tmp_path, "bare")).mkdir()
-    left = (open_folder(tmp_path, "torn") / "rows.arrows").read_bytes()
+    (tmp_path / OPEN_FOLDER / "bare").mkdir()
+    left = (tmp_path / OPEN_FOLDER / "torn" / "rows.arrows").read_bytes()
     report = recover(tmp_path)
     assert (report.recovered, report.removed) == (("torn",), ("bare", "headless"))
     assert "recovered torn, up to the last row that can be read" in str(report)
@@ -191,7 +191,7 @@ def stream(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> Path:
         for row in make_rows(5):
             episode.add({**row, "observation/joints": np.full(3, 1234.5)}, np.zeros(STATE))
         episode.abort("for the test")
-    return open_folder(tmp_path, "a") / "rows.arrows"
+    return tmp_path / OPEN_FOLDER / "a" / "rows.arrows"
 
 
 def header_size(stream: Path) -> int:
@@ -252,11 +252,11 @@ def test_a_stream_of_another_dataset_is_left_alone(
         record(writer, "good")
     with DatasetWriter.open(tmp_path / "b", make_info()) as writer:
         writer.episode("odd", seed=0).add(make_rows(1)[0], np.zeros(STATE))
-    shutil.copytree(open_folder(tmp_path / "b", "odd"), open_folder(tmp_path / "a", "odd"))
+    shutil.copytree(tmp_path / "b" / OPEN_FOLDER / "odd", tmp_path / "a" / OPEN_FOLDER / "odd")
     report = recover(tmp_path / "a")
     assert report.failed[0][0] == "odd"
     assert "other columns" in str(report)
-    assert (open_folder(tmp_path / "a", "odd") / "rows.arrows").exists()
+    assert (tmp_path / "a" / OPEN_FOLDER / "odd" / "rows.arrows").exists()
 
 
 def test_a_dataset_that_is_being_written_is_not_recovered(tmp_path: Path, make_info: MakeInfo) -> None:

@@ -18,7 +18,14 @@ from rcs_data.check.folder import MOST_LOOKS, check_beside, check_folder, check_
 from rcs_data.check.report import CheckReport, Finding
 from rcs_data.errors import CorruptEpisode
 from rcs_data.files.info import MERGED, DatasetInfo
-from rcs_data.files.layout import EPISODE_FILE, FORMER_FOLDER, episode_folder, folder_names, has_dataset, present_folder
+from rcs_data.files.layout import (
+    EPISODE_FILE,
+    EPISODES_FOLDER,
+    FORMER_FOLDER,
+    folder_names,
+    has_dataset,
+    present_folder,
+)
 from rcs_data.files.output import OnProgress
 from rcs_data.index.entry import Entry
 from rcs_data.index.history import history
@@ -92,7 +99,7 @@ def _check_episode(
     root: Path, info: DatasetInfo, is_resampled: bool, depth: Depth, entry: Entry
 ) -> tuple[int, int, list[Finding]]:
     """Return how many rows and decoded images an episode has, and what is wrong with it."""
-    place = EpisodePlace(root, present_folder(episode_folder(root, entry.folder)), entry.id)
+    place = EpisodePlace(root, present_folder(root / EPISODES_FOLDER / entry.folder), entry.id)
     if not place.folder.is_dir():
         return 0, 0, []  # reported with the folder
     bytes_ = EpisodeBytes(place, info, depth=depth)

@@ -21,11 +21,8 @@ from rcs_data.files.layout import (
     HISTORY_FOLDER,
     INDEX_FILE,
     OPEN_FOLDER,
-    episode_folder,
-    episodes_folder,
     folder_names,
     has_dataset,
-    open_folder,
     present_folder,
     removals,
     strange_names,
@@ -158,10 +155,10 @@ def _check_history(root: Path) -> Iterator[Finding]:
 def check_leftovers(root: Path, contents: Contents) -> Iterator[Finding]:
     """Yield what a killed writer or edit left, and whole folders that are missing."""
     names = set(folder_names(root))
-    if not episodes_folder(root).is_dir():
+    if not (root / EPISODES_FOLDER).is_dir():
         yield Finding("damage", "missing", None, EPISODES_FOLDER, "missing, with all episodes in it")
     for entry in contents.entries.values():
-        folder = episode_folder(root, entry.folder)
+        folder = root / EPISODES_FOLDER / entry.folder
         if entry.folder not in names and not present_folder(folder).is_dir():
             yield Finding("damage", "missing", entry.id, _in(root, folder), "missing, with all files in it")
     for path in unwritable_links(root):
@@ -171,22 +168,22 @@ def check_leftovers(root: Path, contents: Contents) -> Iterator[Finding]:
     if is_locked(root):
         return  # a living writer has open episodes
     for episode_id in folder_names(root, OPEN_FOLDER):
-        place = _in(root, open_folder(root, episode_id))
+        place = _in(root, root / OPEN_FOLDER / episode_id)
         yield Finding("warning", "left_open", episode_id, place, "open, and its writer is gone; run recover")
     for name in strange_names(root):
-        place = _in(root, episodes_folder(root) / mended_text(name).translate(_UNPRINTABLE))
+        place = _in(root, root / EPISODES_FOLDER / mended_text(name).translate(_UNPRINTABLE))
         yield Finding("warning", "stranger", None, place, "its name cannot be an episode's; nothing reads it")
     for path in (*trash(root), *removals(root), *([root / EDIT_FOLDER] if (root / EDIT_FOLDER).exists() else [])):
         yield Finding("warning", "left_over", None, _in(root, path), "left by a killed program; run recover")
     for name in names - {entry.folder for entry in contents.entries.values()}:
         message = "complete, and not in the index; run recover"
         try:
-            read_about(episode_folder(root, name))
+            read_about(root / EPISODES_FOLDER / name)
         except CorruptEpisode as err:
             message = f"not in the index, and cannot be read: {err}"
         except DatasetError as err:
             message = str(err)
-        yield Finding("warning", "unlisted", None, _in(root, episode_folder(root, name)), message)
+        yield Finding("warning", "unlisted", None, _in(root, root / EPISODES_FOLDER / name), message)
 
 
 def check_beside(root: Path) -> list[Finding]:

@@ -18,12 +18,12 @@ from rcs_data.errors import CorruptEpisode
 from rcs_data.files.durable import disk_errors
 from rcs_data.files.layout import (
     DATASET_FILE,
+    EPISODES_FOLDER,
     FORMER_FOLDER,
     HISTORY_FOLDER,
     INDEX_FILE,
-    episode_folder,
+    OPEN_FOLDER,
     has_dataset,
-    open_folder,
 )
 from rcs_data.files.lock import DatasetLock
 from rcs_data.files.output import OnProgress, remove_leftovers
@@ -123,11 +123,11 @@ def _settle(index: Index) -> list[Mending]:
     ]
     mendings += [Mending(what="removed", episode=name, message="had no rows") for name in report.removed]
     for name, why in report.failed:
-        folder = open_folder(index.root, name)
+        folder = index.root / OPEN_FOLDER / name
         if folder.exists():  # it would be in the way of every edit
             quarantine(index.root, folder, f"open-{name}")
         else:
-            quarantine(index.root, episode_folder(index.root, name))
+            quarantine(index.root, index.root / EPISODES_FOLDER / name)
         mendings.append(Mending(what="quarantined", episode=name, message=why))
     return mendings
 

@@ -135,16 +135,6 @@ def has_dataset(root: Path) -> bool:
     return (root / INDEX_FILE).exists()
 
 
-def episodes_folder(root: Path) -> Path:
-    """Return the folder with all episodes."""
-    return root / EPISODES_FOLDER
-
-
-def episode_folder(root: Path, name: str) -> Path:
-    """Return the folder of a complete episode by its name, which is that in the index."""
-    return root / EPISODES_FOLDER / name
-
-
 def present_folder(folder: Path) -> Path:
     """Return where an episode's folder is, given its place: an edit may just bring it there, or have replaced it."""
     root = folder.parent.parent
@@ -154,17 +144,12 @@ def present_folder(folder: Path) -> Path:
 
 def free_folder(root: Path, episode_id: str) -> Path:
     """Return the folder for a recorded episode: its id, with a number if another episode has that, or had."""
-    folder = episode_folder(root, episode_id)
+    folder = root / EPISODES_FOLDER / episode_id
     number = 0
     while folder.exists() or (root / FORMER_FOLDER / folder.name).exists():
         number += 1
-        folder = episode_folder(root, f"{episode_id}{_AGAIN}{number}")
+        folder = root / EPISODES_FOLDER / f"{episode_id}{_AGAIN}{number}"
     return folder
-
-
-def open_folder(root: Path, episode_id: str) -> Path:
-    """Return the folder of an episode that is being recorded."""
-    return root / OPEN_FOLDER / episode_id
 
 
 def new_trash(root: Path, name: str) -> Path:
@@ -209,7 +194,7 @@ def removal_mark(root: Path, name: str) -> Path:
 def removals(root: Path) -> dict[Path, Path]:
     """Return the marks of removals that a kill cut short, each with the folder that is to go unless it is listed."""
     names = [name.removesuffix(_REMOVED) for name in _names(root / TRASH_FOLDER) if name.endswith(_REMOVED)]
-    return {removal_mark(root, name): episode_folder(root, name) for name in names if _is_folder(name)}
+    return {removal_mark(root, name): root / EPISODES_FOLDER / name for name in names if _is_folder(name)}
 
 
 def _is_folder(name: str) -> bool:

@@ -22,11 +22,11 @@ from rcs_data.files.json_file import read_bytes
 from rcs_data.files.layout import (
     DATASET_FILE,
     EDIT_FOLDER,
+    EPISODES_FOLDER,
     HISTORY_FOLDER,
     INDEX_FILE,
     OPEN_FOLDER,
     check_path,
-    episodes_folder,
 )
 from rcs_data.files.lock import grow_reserve
 from rcs_data.index.entry import Entry, entry_of
@@ -59,7 +59,7 @@ class Index:
         Raises:
             OSError: The disk fails.
         """
-        for folder in (episodes_folder(root), root / OPEN_FOLDER, root / HISTORY_FOLDER):
+        for folder in (root / EPISODES_FOLDER, root / OPEN_FOLDER, root / HISTORY_FOLDER):
             folder.mkdir(parents=True, exist_ok=True)
         write_info(root, info)
         write_file(root / INDEX_FILE, b"".join(entry.line for entry in (entries or {}).values()))

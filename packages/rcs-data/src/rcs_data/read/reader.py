@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsIndex, overload
 
 from rcs_data.errors import InvalidSetup
-from rcs_data.files.layout import episodes_folder
+from rcs_data.files.layout import EPISODES_FOLDER
 from rcs_data.index.history import Edit, history
 from rcs_data.index.index import Index
 from rcs_data.read.episode_record import EpisodeRecord as EpisodeRecord
@@ -42,7 +42,7 @@ class Dataset:
         self.path = Path(path).absolute()  # a program may change its folder
         index = index or Index(self.path)
         self.info = index.info
-        self.episodes = _records(episodes_folder(self.path), index)
+        self.episodes = _records(self.path / EPISODES_FOLDER, index)
         """The complete episodes, sorted by id."""
 
     @classmethod

@@ -33,10 +33,10 @@ from rcs_data.files.layout import (
     CHECKSUMS_FILE,
     EPISODE_FILE,
     FRAMES_FILE,
+    OPEN_FOLDER,
     ROWS_FILE,
     STEPS_FILE,
     free_folder,
-    open_folder,
 )
 from rcs_data.files.quarantine import quarantine
 from rcs_data.files.steps_file import StepsWriter
@@ -76,7 +76,7 @@ def compact(
             recorded; the stream stays.
         CorruptEpisode: The stream's columns differ from the dataset's, or it is damaged; it stays.
     """
-    folder = open_folder(index.root, episode_id)
+    folder = index.root / OPEN_FOLDER / episode_id
     with disk_errors(f"finish episode {episode_id!r}", folder, keeps_rows=True):
         stream = StreamReader(folder / ROWS_FILE)
         header = stream.header
@@ -173,7 +173,7 @@ def publish(index: Index, episode_id: str) -> Path:
         CorruptEpisode: Its `episode.json` is damaged.
     """
     root = index.root
-    opened = open_folder(root, episode_id)
+    opened = root / OPEN_FOLDER / episode_id
     about = read_about(opened)
     if episode_id in index.refresh():
         raise DatasetError(f"There already is an episode {episode_id!r} in {root}; the other one is in {opened}.")

@@ -17,7 +17,7 @@ from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.files.about import MOST_SEED
 from rcs_data.files.durable import as_json, disk_errors, remove_folder, remove_tree, sealed, write_file
 from rcs_data.files.info import DatasetInfo
-from rcs_data.files.layout import ABORTED_FILE, ROWS_FILE, check_episode_id, new_trash, open_folder
+from rcs_data.files.layout import ABORTED_FILE, OPEN_FOLDER, ROWS_FILE, check_episode_id, new_trash
 from rcs_data.files.stream import EpisodeHeader, StreamWriter
 from rcs_data.files.text import check_text, mended_text
 from rcs_data.index.index import Index
@@ -66,7 +66,7 @@ class EpisodeWriter:
         """Ends the episode when its dataset is closed, given a reason; a thread that adds rows sets its own."""
         self._index = index
         self._info = info
-        self._folder = open_folder(index.root, episode_id)
+        self._folder = index.root / OPEN_FOLDER / episode_id
         self._rows = 0
         self._buffer = RowBuffer(info)
         header = EpisodeHeader(

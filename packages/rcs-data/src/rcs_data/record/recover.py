@@ -15,13 +15,12 @@ from rcs_data.files.layout import (
     ABORTED_FILE,
     DATASET_FILE,
     EPISODE_FILE,
+    EPISODES_FOLDER,
     INDEX_FILE,
     OPEN_FOLDER,
     ROWS_FILE,
-    episode_folder,
     folder_names,
     new_trash,
-    open_folder,
     removals,
     trash,
 )
@@ -119,7 +118,7 @@ def unlisted(index: Index) -> list[Path]:
         index: The dataset's index.
     """
     known = {entry.folder for entry in index.entries.values()}
-    return [episode_folder(index.root, name) for name in folder_names(index.root) if name not in known]
+    return [index.root / EPISODES_FOLDER / name for name in folder_names(index.root) if name not in known]
 
 
 def _finish_removals(index: Index) -> None:
@@ -132,12 +131,12 @@ def _finish_removals(index: Index) -> None:
 
 
 def _is_torn(index: Index, episode_id: str) -> bool:
-    about = read_about(episode_folder(index.root, index.entries[episode_id].folder))
+    about = read_about(index.root / EPISODES_FOLDER / index.entries[episode_id].folder)
     return bool(about["timing"].get("is_torn"))
 
 
 def _settle(index: Index, info: DatasetInfo, episode_id: str, leftovers: Leftovers) -> str:
-    folder = open_folder(index.root, episode_id)
+    folder = index.root / OPEN_FOLDER / episode_id
     if folder.is_symlink() or not folder.is_dir():
         raise CorruptEpisode(f"{folder} is not a folder but {'a link' if folder.is_symlink() else 'a file'}")
     with disk_errors(f"recover episode {episode_id!r}", folder):

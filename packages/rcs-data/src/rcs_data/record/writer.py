@@ -28,11 +28,9 @@ from rcs_data.files.layout import (
     STEPS_FILE,
     check_episode_id,
     check_path,
-    episode_folder,
     folder_names,
     has_dataset,
     new_trash,
-    open_folder,
     removal_mark,
 )
 from rcs_data.files.lock import LOCK_FILES, DatasetLock
@@ -180,7 +178,7 @@ class DatasetWriter(Closing):
                 f"Episode {episode_id!r} came with the files {', '.join(sorted(files)) or '(none)'}; "
                 f"an episode of this dataset has {', '.join(sorted(expected))}."
             )
-        folder = open_folder(self.path, episode_id)
+        folder = self.path / OPEN_FOLDER / episode_id
         description = bytes(files[EPISODE_FILE])
         about = checked_about(unsealed(description, folder / EPISODE_FILE), folder / EPISODE_FILE)
         hashes = {name: hashlib.sha256(data).hexdigest() for name, data in files.items() if name != EPISODE_FILE}
@@ -230,7 +228,7 @@ class DatasetWriter(Closing):
         name = episode_id or episode.id
         self._require_open(f"copy episode {name!r}")
         check_episode_id(name)
-        folder = open_folder(self.path, name)
+        folder = self.path / OPEN_FOLDER / name
         with disk_errors(f"copy episode {name!r}", folder):
             folder.mkdir(parents=True)
             changes = {"id": name, **about}
@@ -253,7 +251,7 @@ class DatasetWriter(Closing):
         check_episode_id(episode_id)
         with disk_errors(f"remove episode {episode_id!r}", self.path):
             entry = self._index.remove(episode_id, self._mark_removal)
-            folder = episode_folder(self.path, entry.folder)
+            folder = self.path / EPISODES_FOLDER / entry.folder
             if folder.exists():
                 remove_folder(folder, new_trash(self.path, entry.folder))
             removal_mark(self.path, entry.folder).unlink(missing_ok=True)
