@@ -180,28 +180,19 @@ def remove_tree(path: Path) -> None:
 
 
 def link_file(source: Path, target: Path) -> None:
-    """Hard-link a file, or copy it where the file system has no links."""
+    """Hard-link a file, or copy it where the file system has no links.
+
+    Raises:
+        OSError: There is no such file, or the disk fails.
+    """
     try:
         os.link(source.resolve(), target)  # of a link, the file that it leads to
     except OSError as err:
         if err.errno not in (errno.EPERM, errno.EXDEV, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS):
             raise
-        copy_file(source, target)
-
-
-def copy_file(source: Path, target: Path) -> None:
-    """Copy a file's bytes and sync them.
-
-    Raises:
-        OSError: There is no such file, or the disk fails.
-    """
-    if not source.is_file():  # reading a pipe would never end
-        raise FileNotFoundError(errno.ENOENT, "it is missing or not a file", str(source))
-    with source.open("rb") as given:
-        fd = os.open(target, _NEW_FILE, 0o644)
+        shutil.copyfile(source, target)  # which refuses a pipe
+        fd = os.open(target, os.O_RDONLY)
         try:
-            while piece := given.read(_CHUNK):
-                write_all(fd, piece)
             sync(fd)
         finally:
             os.close(fd)
