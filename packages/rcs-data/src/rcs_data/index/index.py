@@ -153,11 +153,13 @@ class Index:
     @contextlib.contextmanager
     def _opened(self) -> Generator[int]:
         fd = -1
-        for _ in range(2):  # it may just move
-            decided = self.root / EDIT_FOLDER / INDEX_FILE
-            with contextlib.suppress(FileNotFoundError):
-                fd = _open_to_read(decided if decided.exists() else self.root / INDEX_FILE)
-                break
+        with disk_errors("read the index", self.root / INDEX_FILE):
+            for _ in range(2):  # it may just move
+                decided = self.root / EDIT_FOLDER / INDEX_FILE
+                with contextlib.suppress(FileNotFoundError):
+                    path = decided if decided.exists() else self.root / INDEX_FILE
+                    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+                    break
         if fd < 0:
             raise DatasetError(f"There is no dataset in {self.root}: {INDEX_FILE} is missing.")
         try:
@@ -225,17 +227,6 @@ def write_info(root: Path, info: DatasetInfo) -> None:
     for folder in (root / HISTORY_FOLDER, root):
         write_file(folder / DATASET_FILE, sealed(info.to_json()))
         sync_folder(folder)
-
-
-def _open_to_read(path: Path) -> int:
-    try:
-        return os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-    except FileNotFoundError:
-        raise
-    except OSError:
-        with disk_errors("read the index", path):
-            raise
-        raise
 
 
 def _before(file: int, end: int) -> bytes:
