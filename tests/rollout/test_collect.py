@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
-from rcs_data import Dataset, DatasetWriter, compare_steps, edit, recover
+from rcs_data import Dataset, DatasetWriter, edit, recover
 from rcs_data.edit import Part, mix
 from rcs_data.files.layout import OPEN_FOLDER
 from rcs_data.index.index import Index
@@ -64,8 +65,6 @@ def hashes(path: Path) -> list[str]:
 def test_a_second_collection_has_the_same_content(dataset: Path, tmp_path: Path) -> None:
     run(plan(tmp_path / "again"))
     assert hashes(tmp_path / "again") == hashes(dataset)
-    for one, two in zip(Dataset.open(dataset).episodes, Dataset.open(tmp_path / "again").episodes, strict=True):
-        assert compare_steps(one, two) == []
 
 
 def test_another_seed_has_other_content(dataset: Path, tmp_path: Path) -> None:
@@ -91,7 +90,7 @@ def test_an_interrupted_collection_is_resumed_to_the_same_dataset(dataset: Path,
 def fragment(path: Path, number: int, rows: int, name: str = "") -> None:
     """Leave of an attempt what a kill and a recovery leave: its first rows, without a verdict."""
     whole = Dataset.open(path)[episode_id(number)]
-    pieces = list(whole.rows(0, rows))
+    pieces = [pa.concat_tables(whole.rows()).slice(0, rows)]
     about = {**whole.about, "id": name or whole.id, "success": None, "outcome": {"recovered": True}}
     with DatasetWriter.open(path, whole.info, resume=True) as writer:
         writer.remove_episode(whole.id)

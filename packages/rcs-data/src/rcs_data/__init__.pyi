@@ -8,8 +8,6 @@ from rcs_data.files.feature import Feature as Feature
 from rcs_data.files.info import SCHEMA_VERSION as SCHEMA_VERSION
 from rcs_data.files.info import DatasetInfo as DatasetInfo
 from rcs_data.files.joint_bounds import JointBounds as JointBounds
-from rcs_data.read.content import compare_steps as compare_steps
-from rcs_data.read.content import steps_equal as steps_equal
 from rcs_data.read.frame_access import FrameAccess as FrameAccess
 from rcs_data.read.reader import Dataset as Dataset
 from rcs_data.read.reader import EpisodeRecord as EpisodeRecord

@@ -235,31 +235,19 @@ class EpisodeRecord:
                 raise InvalidSetup(f"{key!r} is not an image; read it with column({key!r}).")
         return _image_numbers(self.steps(chosen), chosen)
 
-    def rows(self, start: int = 0, stop: int | None = None) -> Iterator[pa.Table]:
+    def rows(self) -> Iterator[pa.Table]:
         """Yield the rows with their images, as recorded, in pieces of at most 256 rows and about 8 MB of images.
 
-        The columns are those of `DatasetInfo.stream_schema`: an image is null where it is that of the row before,
-        also in row `start`.
-
-        Args:
-            start: The first row.
-            stop: The row after the last; None for all.
+        The columns are those of `DatasetInfo.stream_schema`: an image is null where it is that of the row before.
 
         Raises:
             CorruptEpisode: A file is missing or damaged.
         """
-        end = self.length if stop is None else min(stop, self.length)
         last: dict[str, int] = {}
-        first = 0
         for group in step_groups(self.path / STEPS_FILE, self.info, self.length):
-            columns = _image_numbers(group, (f.key for f in self.info.features if f.is_image))
-            at, below = max(start - first, 0), min(end - first, group.num_rows)
-            if at < below:
-                rows = group.select(self.info.stream_schema.names).slice(at, below - at)
-                before = {key: int(column[at - 1]) if at else last.get(key, -1) for key, column in columns.items()}
-                yield from self.inlined(rows, before)
-            last = {key: int(column[-1]) for key, column in columns.items() if len(column)}
-            first += group.num_rows
+            yield from self.inlined(group, last)
+            shown = _image_numbers(group, (f.key for f in self.info.features if f.is_image))
+            last = {key: int(column[-1]) for key, column in shown.items() if len(column)}
 
     def inlined(self, rows: pa.Table, before: Mapping[str, int] | None = None) -> Iterator[pa.Table]:
         """Yield rows with the images themselves instead of their numbers, in pieces as those of `rows`.
