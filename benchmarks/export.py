@@ -26,7 +26,7 @@ from rcs_data.convert.lerobot.export import export_lerobot
 from rcs_data.convert.lerobot.layout import IMAGES
 from rcs_data.convert.lerobot.video import VideoReader, encode_video
 from rcs_data.convert.options import ExportOptions, VideoCodec
-from rcs_data.read.trajectory import camera_features, step_frames
+from rcs_data.read.trajectory import camera_features
 
 import rcs
 from rcs.rollout.collect import collect
@@ -91,7 +91,7 @@ def reference(dataset: Dataset, folder: Path, options: Options) -> float:
     frames, used = 0, 0.0
     for episode in dataset.episodes[:SAMPLE]:
         for feature in camera_features(dataset.info).values():
-            images = list(step_frames(episode, feature.key))
+            images = list(episode.frames(feature.key))[:-1]
             start = time.process_time()
             frames += encode_video(
                 folder / "reference.mp4", images, feature.shape, round(dataset.info.frequency), options.codec
@@ -110,7 +110,7 @@ def errors(dataset: Dataset, out: Path) -> dict[str, float]:
         for row, episode in zip(about[:SAMPLE], dataset.episodes, strict=False):
             start = row[f"videos/{IMAGES}{camera}/from_timestamp"]
             frames = reader.frames(start, row["length"], dataset.info.frequency)
-            for image, truth in zip(frames, step_frames(episode, feature.key), strict=True):
+            for image, truth in zip(frames, list(episode.frames(feature.key))[:-1], strict=True):
                 error = image.astype(np.float64) - truth
                 squares.append(float(np.mean(error**2)))
                 colours.append(error.mean(axis=(0, 1)))

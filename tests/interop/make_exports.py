@@ -16,7 +16,7 @@ import numpy as np
 from rcs_data import Dataset
 from rcs_data.convert.formats import EXPORTS
 from rcs_data.convert.options import ExportOptions
-from rcs_data.read.trajectory import action_layout, camera_features, state_layout, step_frames, trajectory
+from rcs_data.read.trajectory import action_layout, camera_features, state_layout, trajectory
 
 from rcs.cli.main import main as rcs
 
@@ -40,8 +40,8 @@ depths = camera_features(dataset.info, "depth")
 (folder / "expected").mkdir(exist_ok=True)
 for index, episode in enumerate(dataset.episodes):
     flow = trajectory(episode, state, action)
-    images = {f"image_{name}": np.stack(list(step_frames(episode, f.key))) for name, f in cameras.items()}
-    images |= {f"depth_{name}": np.stack(list(step_frames(episode, f.key))) for name, f in depths.items()}
+    images = {f"image_{name}": episode.column(f.key)[:-1] for name, f in cameras.items()}
+    images |= {f"depth_{name}": episode.column(f.key)[:-1] for name, f in depths.items()}
     np.savez(
         folder / "expected" / f"{index}.npz",
         state=flow.states,

@@ -16,7 +16,7 @@ import numpy as np
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs_data.convert.formats import EXPORTS
 from rcs_data.convert.options import ExportOptions
-from rcs_data.read.trajectory import action_layout, camera_features, state_layout, step_frames, trajectory
+from rcs_data.read.trajectory import action_layout, camera_features, state_layout, trajectory
 
 TASK = "Heb de kubus – 立方体を持ち上げる"
 STEPS = 7
@@ -84,7 +84,7 @@ for index, episode in enumerate(dataset.episodes):
         action=flow.actions,
         reward=flow.rewards,
         success=np.array(-1 if episode.success is None else int(episode.success)),
-        **{name: np.stack(list(step_frames(episode, key))) for name, key in frames.items()},
+        **{name: episode.column(key)[:-1] for name, key in frames.items()},
         **{f"part_{name}": episode.column(f"observation/{name}")[:-1] for name in parts},
         part_extrinsics_left_wrist=episode.column("observation/frames/left/wrist/extrinsics")[:-1],
     )

@@ -31,7 +31,7 @@ EDITS: dict[str, Callable[[Path], object]] = {
     "undo": edit.undo,
     "prune": edit.prune,
     "merge": lambda path: edit.merge([path, path], path.parent / "out"),
-    "split": lambda path: edit.split(path, path.parent, episodes={"out": ["000000"]}),
+    "split": lambda path: edit.split(path, path.parent, parts={"out": 1.0}),
     "mix": lambda path: edit.mix([edit.Part(path=path)], path.parent / "out"),
 }
 

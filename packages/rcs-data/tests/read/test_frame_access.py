@@ -52,9 +52,6 @@ def test_any_order_gives_what_reading_in_order_gives(tmp_path: Path, key: str, h
     for number in order:
         episode, row = found.episodes[number // 10], number % 10
         np.testing.assert_array_equal(access.frame(episode, key, row), episode.column(key)[row])
-    rows = [3, 3, 0, 9, 5, 4]
-    encoded = list(found.episodes[0].encoded_frames(key))
-    assert access.encoded(found.episodes[0], key, rows) == [encoded[row] for row in rows]
 
 
 @pytest.mark.parametrize("held", [(), (0, 1, 32, 33, 90)])
@@ -77,7 +74,7 @@ def test_pieces_of_rows_are_bounded_by_their_images(tmp_path: Path, monkeypatch:
 
 def test_equal_images_are_one_image(tmp_path: Path) -> None:
     episode = make(tmp_path / "dataset", 8, held=(4, 5)).episodes[0]
-    images = FrameAccess().encoded(episode, RGB, [3, 4, 5, 6])
+    images = list(episode.encoded_frames(RGB))[3:7]
     assert images[0] is images[1]
     assert images[1] is images[2]
     assert images[2] is not images[3]
@@ -102,7 +99,7 @@ def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
         with pytest.raises(InvalidSetup, match=f"no row {row}; valid are 0 to 4"):
             access.frame(episode, RGB, row)
     with pytest.raises(InvalidSetup, match="not an image"):
-        access.encoded(episode, "observation/joints", [0])
+        access.frame(episode, "observation/joints", 0)
 
 
 def test_a_damaged_image_is_named_by_its_row_and_others_are_read(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from rcs_data.edit.episodes import require_ids
 from rcs_data.edit.transaction import making
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.files.info import MERGED, DatasetInfo, differences, feature_differences, shared_setup
@@ -78,36 +77,27 @@ def split(
     *,
     parts: Mapping[str, float] | None = None,
     seed: int = 0,
-    episodes: Mapping[str, Sequence[str]] | None = None,
 ) -> dict[str, Dataset]:
     """Split a dataset into several, in `out/<part>`, and return them by name.
 
     Args:
         path: The dataset, which is not changed.
         out: Where the parts go.
-        parts: The share of each part, such as {"train": 0.9, "val": 0.1}; episodes are drawn by the seed.
+        parts: The share of each part, such as {"train": 0.9, "val": 0.1}; episodes are drawn by the seed. None splits a
+            merged dataset into its sources, whose episodes get their former ids back.
         seed: Seed of the draw.
-        episodes: The ids of each part. With neither shares nor ids, a merged dataset is split into its sources, and
-            episodes get their former ids back.
 
     Raises:
-        InvalidSetup: The shares do not sum up to 1, the seed is not valid, there is no such episode, or the dataset was
-            not merged.
+        InvalidSetup: The shares do not sum up to 1, the seed is not valid, or the dataset was not merged.
         DatasetError: A part's folder is not empty.
         CorruptEpisode: The dataset is damaged.
     """
     dataset = Dataset(path)
-    if parts is not None and episodes is not None:
-        raise InvalidSetup("Give the parts' shares or their episodes, not both.")
-    if parts is None and episodes is None:
+    if parts is None:
         chosen, what = _by_source(dataset), "a dataset"
     else:
-        named = _drawn(dataset, parts, seed) if parts is not None else dict(episodes or {})
-        for ids in named.values():
-            require_ids(path, [episode.id for episode in dataset], ids)
-        chosen: dict[str, _Kept] = {
-            n: (dataset.info, [(dataset[i], {}) for i in sorted(ids)]) for n, ids in named.items()
-        }
+        named = _drawn(dataset, parts, seed)
+        chosen = {name: (dataset.info, [(dataset[i], {}) for i in ids]) for name, ids in named.items()}
         what = "a part"
     for name in chosen:
         check_name(name, what)
@@ -177,7 +167,7 @@ def _by_source(dataset: Dataset) -> dict[str, _Kept]:
     if strangers or not dataset.episodes:
         raise InvalidSetup(
             f"Episodes {', '.join(strangers[:5]) or '(none)'} of {dataset.path} were not merged from another dataset; "
-            "give the parts' shares or their episodes."
+            "give the parts' shares."
         )
     parts: dict[str, dict[str, Any]] = dataset.info.origin.get(MERGED, {})
     found: dict[str, _Kept] = {}

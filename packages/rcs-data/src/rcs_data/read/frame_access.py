@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs_data.errors import InvalidSetup
-from rcs_data.files.codec import blank_frame, pixel_buffer
+from rcs_data.files.codec import pixel_buffer
 from rcs_data.files.frames_file import FramesFile
 from rcs_data.files.layout import FRAMES_FILE
 from rcs_data.read.episode_record import EpisodeRecord, decoded
@@ -89,25 +89,6 @@ class FrameAccess:
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy nothing but the limit."""
         return FrameAccess, (self._cache_bytes,)
-
-    def encoded(self, episode: EpisodeRecord, key: str, rows: Sequence[int]) -> list[bytes]:
-        """Return images as stored: the bytes that `EpisodeRecord.encoded_frames` yields for these rows.
-
-        Args:
-            episode: The episode.
-            key: The feature.
-            rows: The rows, in any order; the same image in sequence is read once.
-
-        Raises:
-            InvalidSetup: There is no such feature or row, or the feature is not an image.
-            CorruptEpisode: A file is missing or damaged.
-        """
-        numbers, file = self._images(episode, key, rows)
-        feature, images = episode.info.feature(key), dict[int, bytes]()
-        for number in numbers.tolist():
-            if number not in images:
-                images[number] = file.image(number) if number >= 0 else blank_frame(feature, episode.info)
-        return [images[number] for number in numbers.tolist()]
 
     def frame(self, episode: EpisodeRecord, key: str, row: int) -> NDArray[Any]:
         """Return one image: (H, W, 3) uint8, or (H, W) uint16 millimetres for depth.

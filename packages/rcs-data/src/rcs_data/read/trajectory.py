@@ -6,7 +6,7 @@ result. Step i of a trajectory therefore has the observation of row i, and actio
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -150,20 +150,6 @@ def trajectory(episode: EpisodeRecord, state: VectorLayout, action: VectorLayout
         terminated=after("terminated", "bool").astype(np.bool_),
         truncated=after("truncated", "bool").astype(np.bool_),
     )
-
-
-def step_frames(episode: EpisodeRecord, key: str) -> Iterator[NDArray[np.generic]]:
-    """Yield the image seen before each step: all of the episode's images but the last.
-
-    Raises:
-        InvalidSetup: There is no such feature, or it is not an image.
-        CorruptEpisode: The episode is damaged.
-    """
-    steps = episode.length - 1
-    for row, frame in enumerate(episode.frames(key)):
-        if row == steps:
-            return
-        yield frame
 
 
 def _layout(info: DatasetInfo, prefix: str, names: tuple[str, ...], keys: Sequence[str] | None) -> VectorLayout:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,7 +38,7 @@ from rcs_data.convert.provenance import episode_provenance
 from rcs_data.errors import InvalidSetup
 from rcs_data.files.output import new_output
 from rcs_data.read.reader import Dataset, EpisodeRecord
-from rcs_data.read.trajectory import camera_features, step_frames
+from rcs_data.read.trajectory import camera_features
 
 Version = Literal["3.0", "2.1"]
 
@@ -142,7 +143,7 @@ class _Job:
         for name, feature in self.layout.cameras.items():
             videos[name] = folder / f"{index}.{name}.mp4"
             histogram = histograms[name] = ImageHistogram(episode.length - 1)
-            frames = _counted(step_frames(episode, feature.key), histogram)
+            frames = _counted(islice(episode.frames(feature.key), episode.length - 1), histogram)
             encode_video(videos[name], frames, feature.shape, self.layout.fps, self.layout.codec)
         return EncodedEpisode(
             index=index,
