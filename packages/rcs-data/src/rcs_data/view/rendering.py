@@ -10,8 +10,9 @@ import hashlib
 import json
 import os
 import re
+from collections import deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -57,8 +58,15 @@ class Renderer:
         if not self._pictures:  # only decoding and encoding run without Python's lock
             yield from map(self._render, episodes)
             return
-        with ThreadPoolExecutor(min(8, os.cpu_count() or 1), "view") as pool:
-            yield from pool.map(self._render, episodes)
+        workers = min(8, os.cpu_count() or 1)
+        under_way: deque[Future[Rendered]] = deque()
+        with ThreadPoolExecutor(workers, "view") as pool:
+            for episode in episodes:
+                under_way.append(pool.submit(self._render, episode))
+                if len(under_way) > 2 * workers:
+                    yield under_way.popleft().result()
+            while under_way:
+                yield under_way.popleft().result()
 
     def _render(self, record: EpisodeRecord) -> Rendered:
         clips, script = self.folder / CLIPS / record.id, episode_file(self.folder, record)
