@@ -9,7 +9,7 @@ import sys
 import uuid
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from types import FunctionType
 from typing import Any, Protocol, runtime_checkable
@@ -27,7 +27,7 @@ class Identity:
     """Who acts in an evaluation."""
 
     name: str
-    """A name for people, such as `pick@40000`; of a `functools.partial`, with a hash of its arguments."""
+    """A name for people, such as `pick@40000`."""
     weights: str | None = None
     """SHA-256 of the weights; None if there are none, or nobody says which."""
     trained: int | None = None
@@ -65,7 +65,8 @@ def identity_of(agent: Any, task: str) -> Identity:
         task: The task, whose expert acts if the agent is None.
 
     Raises:
-        InvalidSetup: The task names no expert, there is no checkpoint at the path, or a function has no name.
+        InvalidSetup: The task names no expert, there is no checkpoint at the path, or the agent
+            is made by something that has no name in a module, such as a lambda or a `functools.partial`.
         UnknownName: There is no agent of this name.
         RcsError: There is no policy at the address.
     """
@@ -77,15 +78,12 @@ def identity_of(agent: Any, task: str) -> Identity:
     agent = expert_of(task) if agent is None else agent
     if isinstance(agent, Agent):
         return Identity(name=type(agent).__name__, weights=agent.weights, modules=(type(agent).__module__,))
-    found, given = lookup.find("agent", agent), ""
-    if isinstance(found, partial):  # an argument that prints its place in memory makes another agent every time
-        arguments = repr((found.args, sorted(found.keywords.items())))
-        found, given = found.func, f"({hashlib.sha256(arguments.encode()).hexdigest()[:8]})"
-    if not isinstance(found, FunctionType) or found.__name__ == "<lambda>":
-        name = lookup.name_of("agent", found)
-    else:
-        name = agent if isinstance(agent, str) else f"{found.__module__}:{found.__qualname__}"
-    return Identity(name=name + given, modules=(found.__module__,))
+    found = lookup.find("agent", agent)
+    if isinstance(agent, FunctionType) and "<" not in agent.__qualname__:  # not one that another function has made
+        agent = f"{agent.__module__}:{agent.__qualname__}"
+    if isinstance(agent, str) and not isinstance(found, type):  # the source of its module has all that it is made of
+        return Identity(name=agent, modules=(agent.partition(":")[0] if ":" in agent else found.__module__,))
+    return Identity(name=lookup.name_of("agent", found), modules=(found.__module__,))
 
 
 def code_of(modules: Iterable[str]) -> dict[str, str]:
