@@ -12,7 +12,6 @@ import rcs
 from rcs.agents import agent_for
 from rcs.agents.push import Tip
 from rcs.devices import lookup
-from rcs.envs.task import Area
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.rollout.collect import collect
@@ -221,12 +220,14 @@ def test_the_block_slides_with_its_own_friction() -> None:
     assert block.priority[0] > world.model.geom("fr3/gripper/left_pad").priority[0]
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.5])
-def test_an_area_in_which_block_and_goal_may_meet_is_refused_with_one_that_does(scale: float) -> None:
-    with pytest.raises(InvalidSetup, match=r"0\.1\) m, too small for Push.* a square of ") as told:
-        Push(Area(size=(0.16 * scale, 0.1), object_scale=scale))
-    edge = float(str(told.value).partition("square of ")[2].split()[0])
-    Push(Area(size=(edge, edge), object_scale=scale))
+def test_a_task_that_could_begin_done_is_refused() -> None:
+    with rcs.make("Push", task_options={"tolerance": 0.13}) as env:
+        for seed in range(20):
+            assert not env.reset(seed=seed)[1]["success"]
+            task = env.simulation.task
+            assert np.linalg.norm((task.poses_of("block") - task.poses_of("goal"))[:2]) > 0.13
+    with pytest.raises(InvalidSetup, match=r"too small for Push with a tolerance of 0\.15 m"):
+        rcs.make("Push", task_options={"tolerance": 0.15})
 
 
 @pytest.mark.parametrize("name", ["tolerance", "hold_time"])

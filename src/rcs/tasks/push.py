@@ -77,23 +77,12 @@ class Push(TableTask):
     options: PushOptions
 
     def __init__(self, area: Area, options: PushOptions | Mapping[str, Any] | None = None) -> None:
-        """Set the area, in which block and goal lie, at any yaw and with room behind the block.
-
-        Raises:
-            InvalidSetup: The area is too small for a goal at `SHORTEST_WAY` from a block in its middle.
-        """
+        """Set the area, in which block and goal lie, at any yaw and with room behind the block."""
         super().__init__(area, options)
         scale = area.object_scale
         self.edges = tuple(scale * edge for edge in EDGES)
         """Edges of the block here [m]."""
         half = np.maximum(np.array(area.size) / 2 - scale * MARGIN, 0.0)
-        if np.linalg.norm(half) < scale * SHORTEST_WAY:
-            edge = 2.0 * scale * (MARGIN + SHORTEST_WAY / np.sqrt(2.0))
-            raise InvalidSetup(
-                f"The area is {area.size} m, too small for Push: block and goal are {scale * SHORTEST_WAY:g} m or more "
-                f"apart, and {scale * MARGIN:g} m or more from its edge. Valid is, for example, a square of "
-                f"{np.ceil(100.0 * edge) / 100.0:g} m; choose another robot, or set `size` of its lab's Area."
-            )
         self._low, self._high = np.array(area.center) - half, np.array(area.center) + half
 
     def furnish(self, scene: Scene) -> None:
@@ -120,9 +109,16 @@ class Push(TableTask):
         """Register the poses of block and goal, and forces on the block, for readout.
 
         Raises:
-            InvalidSetup: There is not exactly one robot, or it has neither gripper nor hand.
+            InvalidSetup: There is not exactly one robot, it has neither gripper nor hand, or the task could begin done,
+                because no goal in the area is farther from a block in its middle than the tolerance.
         """
         super().bind(world, robots)
+        if np.linalg.norm(self._high - self._low) / 2 <= self.options.tolerance:
+            raise InvalidSetup(
+                f"The area is {self.area.size} m, too small for Push with a tolerance of {self.options.tolerance:g} m: "
+                f"block and goal lie {self.area.object_scale * MARGIN:g} m or more from its edge. Choose another robot "
+                "or a smaller tolerance, or set a larger `size` of the lab's Area."
+            )
         self._robot = robot = robots[0]
         model, core, placement = world.model, world.core, robots[0].placement
         block, goal = int(model.body(BLOCK).id), int(model.body(GOAL).id)
@@ -147,7 +143,7 @@ class Push(TableTask):
         middle = (self._low + self._high) / 2
         goals[..., -1, :] = np.where(place[..., :2] < middle, self._high, self._low)
         dx, dy = (goals[..., axis] - place[..., axis, None] for axis in range(2))
-        is_far = dx * dx + dy * dy >= (self.area.object_scale * SHORTEST_WAY) ** 2
+        is_far = dx * dx + dy * dy >= max(self.area.object_scale * SHORTEST_WAY, self.options.tolerance) ** 2
         is_far[..., -1] = True
         goal = np.take_along_axis(goals, is_far.argmax(axis=-1)[..., None, None], axis=-2)[..., 0, :]
         self._half_edges = self._world.field("geom_size")[..., self._geom, :].copy()  # varies between episodes

@@ -25,21 +25,21 @@ class FreeBody:
 
     def __init__(self, world: World, name: str) -> None:
         """Look up its place in the state."""
-        which = int(world.model.body(name).mocapid[0])
-        if which < 0:
-            first = int(world.model.joint(name).qposadr[0])
-            self._translation = world.qpos, slice(first, first + 3)
-            self._quaternion = world.qpos, slice(first + 3, first + 7)
-        else:
-            component, state = world.core.component, mujoco.mjtState
-            self._translation = component(state.mjSTATE_MOCAP_POS.value), slice(3 * which, 3 * which + 3)
-            self._quaternion = component(state.mjSTATE_MOCAP_QUAT.value), slice(4 * which, 4 * which + 4)
+        self._world = world
+        self._mocap = int(world.model.body(name).mocapid[0])
+        self._first = 0 if self._mocap >= 0 else int(world.model.joint(name).qposadr[0])
 
     def place(self, pose: NDArray[np.float64], where: CopyIndex) -> None:
         """Put the bodies of some copies at poses in the scene, (*leading of these, 7) [m], xyzw."""
-        (translations, translation), (quaternions, quaternion) = self._translation, self._quaternion
-        translations[where, translation] = pose[..., :3]
-        quaternions[where, quaternion] = xyzw_to_wxyz(pose[..., 3:])
+        # No view is kept, which would keep the threads of a closed world.
+        first, which, state = self._first, self._mocap, mujoco.mjtState
+        if which < 0:
+            self._world.qpos[where, first : first + 3] = pose[..., :3]
+            self._world.qpos[where, first + 3 : first + 7] = xyzw_to_wxyz(pose[..., 3:])
+        else:
+            component = self._world.core.component
+            component(state.mjSTATE_MOCAP_POS.value)[where, 3 * which : 3 * which + 3] = pose[..., :3]
+            component(state.mjSTATE_MOCAP_QUAT.value)[where, 4 * which : 4 * which + 4] = xyzw_to_wxyz(pose[..., 3:])
 
 
 class TableTask(Task):
