@@ -22,7 +22,7 @@ from rcs.errors import InvalidSetup, UnknownName
 from rcs.hardware.devices import Devices
 from rcs.hardware.site import DeviceAddress, Site
 from rcs.kinematics.chain import damped, load
-from rcs.robots.camera import CameraDescription, ResolutionMode
+from rcs.robots.camera import CameraDescription, ResolutionMode, parse_mode
 from rcs.robots.cameras import PINHOLE, RATES
 from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, Description, GripperDescription, HandDescription, Mount
@@ -91,7 +91,8 @@ def resolve(setup: Setup) -> Parts:
     cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras.names)
     if setup.cameras.mode is not None:
         for camera in cameras:
-            camera.camera.mode(setup.cameras.mode)
+            if camera.camera.modes != PINHOLE.modes or parse_mode(setup.cameras.mode) is None:
+                camera.camera.mode(setup.cameras.mode)
     tactile = tuple(sensor for robot in robots for sensor in _feel(setup.tactile, robot))
     count = 0 if setup.randomisation is None else setup.randomisation.distractors
     return Parts(

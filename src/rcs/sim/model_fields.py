@@ -165,7 +165,7 @@ def find_rows(model: mujoco.MjModel, wanted: FieldRange) -> tuple[NDArray[np.int
             raise InvalidSetup(f"axes of {wanted.field} is {wanted.axes}; valid: {valid}.")
         nominal = nominal[:, wanted.axes]
     # Zeros where numbers must be positive are unused columns of a size, or of bodies without mass.
-    smallest = nominal.min(initial=np.inf, where=nominal > 0 if wanted.field in POSITIVE else True)
+    smallest = float(nominal.min(initial=np.inf, where=nominal > 0 if wanted.field in POSITIVE else True))
     least = {"scale": smallest * wanted.low, "add": smallest + wanted.low}.get(wanted.operation, wanted.low)
     if least < 0 and wanted.field in NOT_NEGATIVE:
         raise InvalidSetup(f"{wanted.key} reaches {least:g}; valid: values from 0.")

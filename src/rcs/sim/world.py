@@ -111,6 +111,7 @@ class World:
         self._nominal: dict[str, NDArray[Any]] = {}
         self._fields: dict[str, NDArray[Any]] = {}
         self._readouts: _Readouts | None = None
+        self._is_read = False
         self._scratch: mujoco.MjData | None = None
 
     def close(self) -> None:
@@ -179,12 +180,12 @@ class World:
 
         If the arrays have been used before, all readouts are refreshed: forces are then 0 until the next step.
         """
-        if self._readouts is not None:
+        if self._is_read:
             self.refresh()
 
     def _read_out(self) -> _Readouts:
-        """Take views of the readouts, which exist from the first use on."""
-        core = self.core
+        """Take views of the readouts."""
+        self._is_read, core = True, self.core
         self._readouts = _Readouts(core.poses, core.xyzrpy, core.forces, core.openings, core.measurements)
         return self._readouts
 
@@ -244,8 +245,7 @@ class World:
 
     def refresh(self, copies: Copies = None) -> None:
         """Recompute the readouts (poses, forces) after writing the state."""
-        if self._readouts is not None:
-            self._read_out()  # some may have been added
+        self._readouts = None  # some may have been added
         self.core.refresh(*_chosen(copies))
 
     def save(self, copies: Copies = None) -> NDArray[np.float64]:

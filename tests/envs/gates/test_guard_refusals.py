@@ -108,7 +108,7 @@ def test_copies_are_cut_as_each_would_be_alone() -> None:
                 assert info["guard_fraction"] == fraction[copy]
 
 
-@pytest.mark.parametrize("options", [{}, {"end_effector": None}], ids=["gripper", "flange"])
+@pytest.mark.parametrize("options", [{}, {"end_effector": "none"}], ids=["gripper", "flange"])
 def test_the_workspace_is_a_box_that_the_end_of_an_arm_does_not_leave(options: Any) -> None:
     box = ((-0.1, -0.2, -0.1), (0.9, 0.2, 1.2))
     with rcs.make("Free", relative=False, stepping="sync", gates=[Guard(workspace=box)], **options) as env:
