@@ -175,6 +175,8 @@ def measure(arrangement: str, seed: int, options: Options, folder: Path) -> dict
     """Return the figures of one camera."""
     rng = np.random.default_rng(seed)
     name, task = CAMERAS[arrangement], BOARDS[arrangement]
+    if task.on_gripper_of is not None:
+        task = replace(task, on_gripper_of=options.robot)
     plain = rcs.Setup(
         task="rcs.setups.board_setup:ShowBoard", task_options=task.to_json(), robot=options.robot,
         cameras=rcs.Cameras(name, image_size=options.size), relative="absolute", stepping="sync",

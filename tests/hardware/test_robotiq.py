@@ -6,7 +6,6 @@ import os
 import pty
 import time
 from collections.abc import Generator, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,7 +13,7 @@ import pytest
 from rcs.devices import Gripper
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.hardware.robotiq import RobotiqDriver, RobotiqGripper
-from rcs.hardware.robotiq_lines import MODBUS_DEVICE, ModbusLine
+from rcs.hardware.robotiq_lines import ModbusLine, RobotiqStatus, status_of
 from rcs.robots import ROBOTIQ_2F85
 from rcs.testing import GripperContract
 from rcs.virtual import VirtualProcess
@@ -215,28 +214,33 @@ def test_a_line_that_the_library_closes_after_some_silence_is_opened_again() -> 
         os.close(end)
 
 
-@pytest.mark.hardware
-def test_a_line_that_was_unplugged_is_opened_again(tmp_path: Path) -> None:
-    pytest.importorskip("pymodbus", reason="the extra `robotiq` is not installed")
-    first, second = pty.openpty(), pty.openpty()
-    os.set_blocking(second[0], False)
-    port = tmp_path / "port"
-    port.symlink_to(os.ttyname(first[1]))
-    line = ModbusLine(str(port))
-    for end in first:
-        os.close(end)
-    with pytest.raises(DeviceFault):
-        line.read()
-    port.unlink()
-    with pytest.raises(DeviceFault, match="There is no serial line"):
-        line.read()
-    port.symlink_to(os.ttyname(second[1]))
-    with pytest.raises(DeviceFault, match="no gripper answers"):
-        line.read()
-    assert os.read(second[0], 64)[0] == MODBUS_DEVICE
-    line.close()
-    for end in second:
-        os.close(end)
+class Line:
+    """A line to an active gripper that stands open, until it is cut."""
+
+    def __init__(self, lines: list[Line]) -> None:
+        self.is_cut = False
+        lines.append(self)
+
+    def read(self) -> RobotiqStatus:
+        if self.is_cut:
+            raise DeviceFault("cut")
+        return status_of((3 << 12, 0, 3 << 8), time.monotonic())
+
+    def write(self, **registers: Any) -> None:
+        """Take a command."""
+
+    def close(self) -> None:
+        self.is_cut = True
+
+
+def test_recover_connects_anew_where_the_old_line_is_dead() -> None:
+    lines: list[Line] = []
+    with RobotiqGripper("192.0.2.1", ROBOTIQ_2F85, {}, transport=lambda address: Line(lines)) as gripper:
+        lines[0].is_cut = True
+        wait_for_fault(gripper)
+        gripper.recover()
+        assert len(lines) == 2
+        assert gripper.state().opening == 1.0
 
 
 @pytest.mark.parametrize(

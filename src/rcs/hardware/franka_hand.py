@@ -22,6 +22,8 @@ SILENCE: Final = 0.3
 """Age of the last state from which the hand counts as silent [s]."""
 
 
+STOPPING: Final = 0.1
+"""Time after which fingers that still move are told to stop again [s]."""
 CLOSING: Final = 1.5
 """Timeout for the end of a connection that is silent [s]; the library gives up after a second."""
 
@@ -46,6 +48,7 @@ class FrankaHand(Gripper):
         self._given: tuple[float, float] | None = None  # the command in progress, or the last one
         self._is_busy = self._is_homing = False
         self._is_held = False  # since the motion in progress was commanded
+        self._over_since = 0.0  # when the motion in progress was last told to stop
         self._ends = threading.Event()  # of one connection
         self._problem = ""
         self._threads: list[threading.Thread] = []
@@ -128,7 +131,7 @@ class FrankaHand(Gripper):
         with self._news:
             if _is_same(wanted, self._wanted or self._given or (self._state_now.width, wanted[1])):
                 return
-            self._wanted = wanted
+            self._wanted, self._over_since = wanted, time.monotonic()
             is_busy = self._is_busy
             self._news.notify_all()
         if is_busy:
@@ -144,7 +147,7 @@ class FrankaHand(Gripper):
             self._wanted = None
             is_busy = self._is_busy
             if is_busy:
-                self._given, self._is_held = None, True
+                self._given, self._is_held, self._over_since = None, True, time.monotonic()
         if is_busy and not self._problem:
             self._hand.stop()
 
@@ -170,9 +173,6 @@ class FrankaHand(Gripper):
         while True:
             try:
                 state = hand.state
-                with self._news:
-                    if self._is_busy and self._is_over:  # a stop that came before the library's call had no effect
-                        hand.stop()
             except Exception as err:  # noqa: BLE001 - the library's exceptions have no common base class
                 if ends.is_set():
                     return
@@ -183,6 +183,12 @@ class FrankaHand(Gripper):
             if ends.is_set():
                 return
             self._state_now, self._measured_at = state, time.monotonic()
+            with self._news:
+                is_late = self._is_busy and self._is_over and time.monotonic() > self._over_since + STOPPING
+                if is_late:  # the stop came before the library's call, and had no effect
+                    self._over_since = time.monotonic()
+            if is_late:
+                hand.stop_async()  # which reports nothing, and lets the states be read
 
     def _act(self, hand: Any, ends: threading.Event) -> None:
         while True:

@@ -192,10 +192,10 @@ class Host:
                 request = desk.next(left)
                 if request is None:
                     break
-                call, limit = request.call.name, limits.get(request.call)
+                call, limit, answer = request.call.name, limits.get(request.call), self._limit(times)
                 with contextlib.nullcontext() if limit is None else self._others_wait(call, limit):
                     desk.promise(call, self._limit(times))
-                    _answer(device, desk, request, self._limit(times))
+                    _answer(device, desk, request, answer)
                 if request.call is HostCall.close:
                     return
 

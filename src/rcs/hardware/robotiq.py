@@ -6,6 +6,7 @@ with its time.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
@@ -217,10 +218,8 @@ class RobotiqGripper(Gripper):
 
     def _recover(self) -> None:
         with self._lock:
-            transport = self._transport
-            assert transport is not None, "a call before `open` is refused by the interface"
             self._order = None
-            status = transport.read()
+            transport, status = self._reached()
             if status.activation != _ACTIVE or status.fault not in _HARMLESS:
                 # Nothing moves: the next command activates the gripper again.
                 transport.write(activate=False, go=False, position=0, speed=0, force=0)
@@ -229,6 +228,18 @@ class RobotiqGripper(Gripper):
                     raise DeviceFault(f"the fault persists: {FAULTS.get(status.fault, status.fault)}")
             self._was_active = False
             self._take(status)
+
+    def _reached(self) -> tuple[Transport, RobotiqStatus]:
+        """Return the transport with a status, a new one if the gripper does not answer through the old one."""
+        assert self._transport is not None, "a call before `open` is refused by the interface"
+        with contextlib.suppress(DeviceFault):
+            return self._transport, self._transport.read()
+        self._transport.close()
+        try:
+            self._transport = self._connect(self._address)
+        except InvalidSetup as err:  # nothing is at its place
+            raise DeviceFault(str(err)) from err
+        return self._transport, self._transport.read()
 
     # --- The thread ---
 

@@ -164,20 +164,16 @@ class ModbusLine:
             InvalidSetup: Nothing with a port is at this place.
             DeviceFault: The line cannot be opened.
         """
-        self._address = self._path = address
+        self._path = path = port_at(address, "serial line")
+        modbus = package_of("robotiq", "pymodbus.client", "A gripper on a serial line needs")
         self._error = package_of("robotiq", "pymodbus", "A gripper on a serial line needs").ModbusException
-        self._client: Any = None
+        os.close(claim(path, "serial line"))  # the library locks it, too, but does not say who has it
+        self._client = modbus.ModbusSerialClient(path, baudrate=BAUD_RATE, timeout=0.1, retries=0)
         self._require_open()
 
     def _require_open(self) -> None:
         """Open the line unless it is open; the library closes it after some requests without an answer."""
-        if self._client is None:
-            modbus = package_of("robotiq", "pymodbus.client", "A gripper on a serial line needs")
-            self._path = path = port_at(self._address, "serial line")
-            os.close(claim(path, "serial line"))  # the library locks it, too, but does not say who has it
-            self._client = modbus.ModbusSerialClient(path, baudrate=BAUD_RATE, timeout=0.1, retries=0)
         if not self._client.connect():
-            self.close()
             raise DeviceFault(
                 f"{self._path}: the serial line cannot be opened; check that the adapter is plugged in (ls -l "
                 f"{self._path}) and that no other program uses it"
@@ -194,9 +190,7 @@ class ModbusLine:
 
     def close(self) -> None:
         """Close the line."""
-        if self._client is not None:
-            self._client.close()
-            self._client = None
+        self._client.close()
 
     def _call(self, name: str, *values: Any, **more: Any) -> Any:
         self._require_open()
@@ -204,8 +198,6 @@ class ModbusLine:
             self._client.socket.reset_input_buffer()  # a late answer is not that to the next request
             answer = getattr(self._client, name)(*values, device_id=MODBUS_DEVICE, **more)
         except (self._error, OSError, termios.error) as err:
-            if not isinstance(err, self._error):  # the port has disappeared; it may come back at another path
-                self.close()
             raise DeviceFault(
                 f"{self._path}: no gripper answers ({err}); check its 24 V supply and the wiring of RS-485"
             ) from err

@@ -351,7 +351,8 @@ def _beside_arm(given: Any, name: str) -> Any:
     if not isinstance(given, Mapping | DeviceAddress):
         return given
     arm = DeviceAddress.parse(given, name)
-    shared: Collection[str] = arm.options if driver_named(arm.driver).shares_options else {"host"}
+    shares = getattr(lookup.find("driver", arm.driver), "shares_options", False)
+    shared: Collection[str] = arm.options if shares else {"host"}
     return dataclasses.replace(arm, options={one: value for one, value in arm.options.items() if one in shared})
 
 

@@ -159,12 +159,15 @@ class Servos:
         Raises:
             DeviceFault: A servo does not answer, or its model or calibration is not the expected one.
         """
-        self._timeout = max(self._timeout, timeout)
-        if calibration is not None or not self.calibration:
-            self.bus.timeout = max(self._timeout, OPENING)
-            self.calibration = self._found(calibration)
-            self._given = calibration
-        self.bus.timeout = self._timeout
+        longest = max(self._timeout, timeout)
+        try:
+            if calibration is not None or not self.calibration:
+                self.bus.timeout = max(longest, OPENING)
+                self.calibration = self._found(calibration)
+                self._given = calibration
+            self._timeout = longest
+        finally:
+            self.bus.timeout = self._timeout or OPENING
 
     def read(self) -> Reading:
         """Read all servos at once.

@@ -171,10 +171,12 @@ class TilburgHand(Hand):
                 errors = self._read(ERRORS, 1)
             if errors.any():
                 self._reboot([motor for motor, bits in zip(self._motors, errors, strict=True) if bits])
-            # Motors that are still on keep their goals: fingers that press on an object must not drop it.
+            # Motors that are still on keep their goals, which a lost command has not changed: fingers that press on an
+            # object must not drop it.
             self._ready &= self._read(TORQUE, 1) == 1
             if self._goal is not None:
-                self._goal = np.where(self._ready, self._goal, np.clip(self._measure(), 0.0, 1.0))
+                goals = (self._read(GOAL, 4) - self._lowest) / (self._highest - self._lowest)
+                self._goal = np.clip(np.where(self._ready, goals, self._measure()), 0.0, 1.0)
             self._require_no_error()
 
     def _close(self) -> None:

@@ -292,6 +292,7 @@ class XarmArm(StreamedArm):
         self._is_given_way = True
 
     def _clear(self) -> None:
+        is_ours = self._is_ours
         self._is_led = self._is_given_way = self._is_ours = False
         if self._is_silent or not self._api.connected:
             self._let_go()
@@ -302,7 +303,9 @@ class XarmArm(StreamedArm):
         _, (error, _) = self._ask(api.get_err_warn_code)
         if error:
             raise DeviceFault(f"the error remains: {_words(error)}")
-        self._ask(lambda: api.set_state(_STOPPED))  # discard setpoints from before the fault
+        _, state = self._ask(api.get_state)
+        if is_ours or state != _MOVING:  # not an arm that another program moves
+            self._ask(lambda: api.set_state(_STOPPED))  # discard setpoints from before the fault
         self._trouble = ""
 
     def _close(self) -> None:

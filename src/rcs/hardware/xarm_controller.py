@@ -12,6 +12,7 @@ import logging
 import re
 import socket
 import struct
+import threading
 import time
 from collections.abc import Generator
 from pathlib import Path
@@ -173,15 +174,19 @@ def connect(address: str) -> Any:
     return api
 
 
+_ALONE: Final = threading.Lock()  # what the library changes is the process's
+
+
 @contextlib.contextmanager
 def _quietly() -> Generator[None]:
     """Log the library's output, and undo its change of the program's default socket timeout."""
-    timeout, said = socket.getdefaulttimeout(), io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said):
-            yield
-    finally:
-        socket.setdefaulttimeout(timeout)
+    with _ALONE:
+        timeout, said = socket.getdefaulttimeout(), io.StringIO()
+        try:
+            with contextlib.redirect_stdout(said):
+                yield
+        finally:
+            socket.setdefaulttimeout(timeout)
         for line in said.getvalue().splitlines():
             logging.getLogger(__name__).debug(line)
 
@@ -195,14 +200,10 @@ class XarmTool:
         Raises:
             DeviceFault: No controller answers; the message says what to check.
         """
+        require_controller(address)
         self._address = address
-        self._api = self._connect()
-
-    def _connect(self) -> Any:
-        require_controller(self._address)
-        api = connect(self._address)
-        api.set_timeout(TOOL_PATIENCE)
-        return api
+        self._api = connect(address)
+        self._api.set_timeout(TOOL_PATIENCE)
 
     def read(self) -> RobotiqStatus:
         """Read the three input registers."""
@@ -220,9 +221,6 @@ class XarmTool:
         self._api.disconnect()
 
     def _ask(self, frame: bytes, size: int) -> bytes:
-        if not self._api.connected:
-            self._api.disconnect()
-            self._api = self._connect()
         code, answer = self._api.set_rs485_data(list(frame), min_res_len=size)
         if code != 0 or len(answer) < size or answer[1] != frame[1]:
             raise DeviceFault(

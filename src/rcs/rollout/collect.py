@@ -87,7 +87,8 @@ class Collector:
         self._recorder.name_next(episode_id(number))
         with self._recorder.discard_on_error():
             attempt = self._attempt(number)
-        return None if self._real is not None and attempt.result.failure == FAULT else attempt
+        is_fault = attempt.result.success is None and attempt.result.failure == FAULT  # not a judge's tag
+        return None if self._real is not None and is_fault else attempt
 
     def _attempt(self, number: int) -> Attempt:
         seed = self._collection.seed_of(number)

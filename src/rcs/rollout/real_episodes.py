@@ -82,7 +82,7 @@ class RealEpisodes:
         """Make the episode that was prepared."""
         result = run_episode(self._env, self._agent, seed=seed, judge=self._supervisor.judge)
         self._is_held = result.success is True
-        is_fault = result.failure == FAULT
+        is_fault = result.success is None and result.failure == FAULT  # not a judge's tag
         self._fault = DeviceFault(f"The episode ended as a fault: {result.message}.") if is_fault else None
         return result
 
@@ -95,7 +95,10 @@ class RealEpisodes:
         if not self._supervisor.may_move(question):
             raise Refused(f"Nothing has moved, because nobody agreed to this: {question}")
         lay = Pose.from_tquat(self._objects[self._placer.name])
-        return self._placer.set_down(seed, Pose.from_tquat(grasp).inverse() * lay)
+        found = self._placer.set_down(seed, Pose.from_tquat(grasp).inverse() * lay)
+        if found.why == FAULT:
+            self._fault = DeviceFault("Setting the object down ended as a fault.")
+        return found
 
     def _look_for(self, found: SetDown | None, seed: int) -> tuple[Poses, dict[str, Any]]:
         """Return where the objects lie after the robot has set one down, and the entry `placed`."""

@@ -65,7 +65,7 @@ class DisturbActions(Layer):
             InvalidSetup: The actions are absolute, or relative to an origin.
         """
         joints: Any = inner[JOINTS]
-        farthest = 0.5 * (joints.high - joints.low) if self._key == JOINTS else MOST
+        farthest = 0.25 * (joints.high - joints.low) if self._key == JOINTS else MOST  # half of what may be asked for
         if (self._bound >= farthest).any():
             raise InvalidSetup(
                 "DisturbActions adds noise to actions relative to the last step, and these are absolute or relative to "

@@ -55,12 +55,15 @@ class GraspHand(Layer):
         return replaced(action, GRIPPER, HAND, np.where(action[GRIPPER] >= THRESHOLD, self._open, self._grasp))
 
     def map_executed(self, executed: Action) -> Action:
-        """Return which of the two poses was executed."""
-        is_open = (executed[HAND] == self._open).all(axis=-1, keepdims=True).astype(np.float32)
-        return replaced(executed, HAND, GRIPPER, is_open)
+        """Return which of the two poses was executed, or is nearer to what was."""
+        is_open = self._opening(executed[HAND]) >= THRESHOLD
+        return replaced(executed, HAND, GRIPPER, is_open.astype(np.float32))
 
     def map_observation(self, observation: Observation) -> Observation:
         """Add the opening of the hand."""
+        return {**observation, GRIPPER: self._opening(observation[HAND])}
+
+    def _opening(self, hand: NDArray[np.float32]) -> NDArray[np.float32]:
         # In a fixed order, unlike a matrix product or sum: copies must have the bits of a single environment.
-        along = np.add.accumulate((observation[HAND] - self._grasp) * self._along, axis=-1)[..., -1]
-        return {**observation, GRIPPER: np.clip(along, 0.0, 1.0)[..., None].astype(np.float32)}
+        along = np.add.accumulate((hand - self._grasp) * self._along, axis=-1)[..., -1]
+        return np.clip(along, 0.0, 1.0)[..., None].astype(np.float32)

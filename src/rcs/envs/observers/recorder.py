@@ -212,7 +212,7 @@ class Recorder(Observer):
         if self._names is not None and (transition.terminated or transition.truncated):
             if (end := transition.info.get("end")) in (DIVERGED, FAULT):  # `on_end` comes after the step
                 self.on_end(end, {name: why for name, why in transition.info.get("faults", {}).items() if why})
-            success = None if self._broken_off else transition.info.get("success")
+            success = None if is_lost else transition.info.get("success")  # of devices, there is none
             self.finish(None if success is None else bool(success))
 
     def _begin(self, first: Transition, seed: int | None) -> None:

@@ -318,6 +318,7 @@ class EffectorPort(Port):
         self._calls = DeviceCalls(device, device.state, self._send, valid_for=valid_for, slow_after=slow_after)
         self._freshness = Freshness(device, stale_after)
         self._kept: Arrays = {}
+        self._measured = np.ones(count, np.float32)
 
     def command(self, action: Arrays) -> None:
         """Send the target, or have it sent as soon as a slow device is free."""
@@ -325,7 +326,7 @@ class EffectorPort(Port):
         self._kept = {self._key: action[self._key]}
 
     def kept(self) -> Arrays:
-        """Return the last target; nothing before the first."""
+        """Return the last target; nothing before the first, nor after a fault until the next."""
         return self._kept
 
     def observe(self) -> Observation:
@@ -333,7 +334,8 @@ class EffectorPort(Port):
         state = self._calls.read()
         self._freshness.judge(state)
         measured = [state.opening] if isinstance(state, GripperState) else state.joints
-        return self._followed({self._key: np.clip(np.array(measured, np.float32), 0.0, 1.0)})
+        self._measured = np.clip(np.array(measured, np.float32), 0.0, 1.0)
+        return self._followed({self._key: self._measured})
 
     def capture_times(self) -> dict[str, float]:
         """Return when it was measured."""
@@ -348,13 +350,16 @@ class EffectorPort(Port):
         self._calls.open()
 
     def hold(self) -> None:
-        """Make the device stay where it is."""
+        """Make the device stay where it is; a gripper that was opening does not go on later."""
         self._calls.forget()
         super().hold()
+        if self._key == keys.GRIPPER and self._kept:
+            self._kept = {self._key: np.minimum(self._kept[self._key], self._measured)}
 
     def recover(self) -> None:
         """Clear the fault, if there is one; the device does not move."""
         if self._device.is_open and self._device.fault:
+            self._kept = {}
             self._calls.recover()
 
     def close(self) -> None:
