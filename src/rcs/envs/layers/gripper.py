@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from rcs.envs.layers.layer import ActionSpaces, Layer, replaced
 from rcs.envs.spaces import GRIPPER, HAND, Action, Observation, normalised_space
