@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
+from rcs_data.files.feature import Feature
 from rcs_data.files.flags import FrameFlag, camera_of, flags_key, time_key
 from rcs_data.files.info import DatasetInfo
+from rcs_data.read.content import flat_numbers
 from rcs_data.read.reader import EpisodeRecord
 
 FLAWS = ("repeated", "stale", "missing", "dropped", "gap", "jitter", "backwards")
@@ -111,14 +114,7 @@ def episode_data(episode: EpisodeRecord) -> dict[str, Any]:
     """
     lines: list[list[list[float | None]]] = []
     drawn = curves(episode.info)
-    keys = {curve.key for curve in drawn}
-    wanted = [f for f in episode.info.features if f.key in keys or f.key.startswith(("time/", "flags/"))]
-    # Read together: a file is opened as long as twenty rows take to read.
-    whole = episode.columns(feature.key for feature in wanted)
-    columns = {key: values.reshape(episode.length, -1).astype(np.float64) for key, values in whole.items()}
-    for feature in wanted:
-        if feature.is_unknown_at_reset:
-            columns[feature.key][0] = np.nan  # also of whole numbers
+    columns = _columns(episode, {curve.key for curve in drawn})
     periods = _periods(columns, episode.length)
     stride = -(-episode.length * sum(curve.size for curve in drawn) // _MOST_NUMBERS) or 1
     for curve in drawn:
@@ -138,6 +134,24 @@ def episode_data(episode: EpisodeRecord) -> dict[str, Any]:
 def is_faster_than_life(info: DatasetInfo) -> bool:
     """Return whether the episodes were simulated without waiting for the wall clock, so that periods mean nothing."""
     return info.sim_state_size is not None and info.setup.get("stepping") == "async"
+
+
+def _columns(episode: EpisodeRecord, keys: set[str]) -> dict[str, NDArray[np.float64]]:
+    """Return the columns of some curves, of flags and of times, shape (length, size) each, NaN where there is nothing.
+
+    They are read together: a file is opened as long as twenty rows take to read.
+    """
+    features = [f for f in episode.info.features if f.key in keys or f.key.startswith(("time/", "flags/"))]
+    if not features:
+        return {}
+    table = episode.steps(feature.key for feature in features)
+    return {feature.key: _numbers(table.column(feature.key), feature) for feature in features}
+
+
+def _numbers(column: pa.ChunkedArray, feature: Feature) -> NDArray[np.float64]:
+    numbers = flat_numbers(column).reshape(-1, feature.size).astype(np.float64)
+    numbers[column.is_null().to_numpy()] = np.nan
+    return numbers
 
 
 def _marks(
