@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import itertools
 import json
 import os
 import shutil
@@ -120,23 +121,23 @@ def sync_folder(path: Path) -> None:
         os.close(fd)
 
 
-def write_file(path: Path, *pieces: bytes | memoryview | Iterable[bytes]) -> None:
+def write_file(path: Path, *pieces: bytes | memoryview, more: Iterable[bytes] = ()) -> None:
     """Replace a whole file in one step: after a kill, either the old or the new one is there.
 
     The caller syncs the folder if the name itself must be on the disk.
 
     Args:
         path: The file.
-        pieces: Its bytes in order; of a piece that is an iterable, each part is written as it comes.
+        pieces: Its bytes, in order.
+        more: More of them, which are written as they come.
     """
     temporary = path.with_name(path.name + ".tmp")
     # Left by a kill, or a link that would be written through.
     temporary.unlink(missing_ok=True)
     fd = os.open(temporary, _NEW_FILE, 0o644)
     try:
-        for piece in pieces:
-            for part in (piece,) if isinstance(piece, bytes | memoryview) else piece:
-                write_all(fd, part)
+        for piece in itertools.chain(pieces, more):
+            write_all(fd, piece)
         sync(fd)
     except BaseException:  # half of it would take space that a full disk does not have
         temporary.unlink(missing_ok=True)
@@ -190,7 +191,9 @@ def link_file(source: Path, target: Path) -> None:
     except OSError as err:
         if err.errno not in (errno.EPERM, errno.EXDEV, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS):
             raise
-        shutil.copyfile(source, target)  # which refuses a pipe
+        if not source.is_file():  # a device never ends
+            raise FileNotFoundError(errno.ENOENT, "it is missing or not a file", str(source)) from err
+        shutil.copyfile(source, target)
         fd = os.open(target, os.O_RDONLY)
         try:
             sync(fd)

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from itertools import chain
 from pathlib import Path
 
 from rcs_data.errors import DatasetError, InvalidSetup
@@ -101,7 +102,7 @@ def write_view(
         write_file(folder / "index.html", shell(is_alone=False).encode())
         for name in (_STYLE, *_SCRIPTS):
             write_file(folder / name, web(name).encode())
-        write_file(folder / _CATALOGUE, catalogue(dataset, counted()))
+        write_file(folder / _CATALOGUE, more=catalogue(dataset, counted()))
         return ViewReport(path=folder / "index.html", size=size_on_disk(folder), **counts)
 
 
@@ -136,7 +137,8 @@ def _require_own(folder: Path) -> None:
             raise DatasetError(
                 f"{path} is a link or no folder, and nothing is written through it; choose another with out."
             )
-    if folder.exists() and any(folder.iterdir()) and not (folder / _CATALOGUE).exists():
+    there = {path.name for path in folder.iterdir()} if folder.exists() else set[str]()
+    if there - {f"{_CATALOGUE}.tmp"} and _CATALOGUE not in there:  # what a kill may leave of the first file
         raise DatasetError(f"{folder} has other things in it; choose an empty folder, or one of an earlier page.")
 
 
@@ -162,7 +164,7 @@ def write_report(dataset_path: str | Path, *, wall_time: float | None = None) ->
         results = {result.record.id: result for result in renderer.render(_in_detail(dataset))}
         details = (part for result in results.values() if not result.why for part in _episode(folder, result.record))
         facts = catalogue(dataset, _all(dataset, results), wall_time=wall_time)
-        write_file(path, start.encode(), details, b"<script>", facts, f"</script>\n{end}".encode())
+        write_file(path, more=chain([start.encode()], details, [b"<script>"], facts, [f"</script>\n{end}".encode()]))
     return path
 
 
