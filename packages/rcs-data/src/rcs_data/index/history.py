@@ -245,7 +245,7 @@ def undo(index: Index) -> Edit:
     if zlib.crc32(read_bytes(root / INDEX_FILE)) != edit.index:
         raise DatasetError(
             f"Episodes came to {root}, or went, since {edit.command!r}, which undo would lose. An edit can be "
-            "undone until the next change; now delete or relabel what you do not want."
+            "undone until episodes come or go; now delete or relabel what you do not want."
         )
     there = {*folder_names(root), *folder_names(root, FORMER_FOLDER)}
     if gone := [name for name, entry in entries.items() if entry.folder not in there]:
