@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -208,11 +209,13 @@ class SafetyContract:
         """And the error that came first is raised, with a note of that."""
         with self.env() as env:
             breaks = self.set_in_motion(env)
+            self.held.clear()
             restore = _raise_in(env.stack.ports[0], "hold", OSError("no answer"))
             _arm(env, breaks, "on_step of an observer", Broken("broken on purpose"))
             with pytest.raises(Broken) as caught:
                 env.step(go(env, lift(env)))
             assert "no answer" in "".join(caught.value.__notes__)
+            assert set(self.held) == set(_ports(env)[1:])
             restore()
 
     @pytest.mark.parametrize("kind", [OSError, KeyboardInterrupt], ids=["error", "Ctrl-C"])
@@ -221,13 +224,11 @@ class SafetyContract:
         env = self.make_env()
         breaks, other = self.set_in_motion(env), _BreaksAt()
         env.add_observer(other)
-        order: list[str] = []
-        for i, port in enumerate(env.stack.ports):
-            _note(port, "close", order, f"port {i}")
+        order = _note(env, "close")
         breaks.where, breaks.error = "close of an observer", kind("broken on purpose")
         with pytest.raises(kind):
             env.close()
-        expected = [f"port {i}" for i in range(len(env.stack.ports))]
+        expected = _ports(env)
         assert order[: len(expected)] == expected
         assert breaks.is_closed
         assert other.is_closed
@@ -238,9 +239,7 @@ class SafetyContract:
         """And observers are closed all the same."""
         env = self.make_env()
         breaks = self.set_in_motion(env)
-        order: list[str] = []
-        for i, port in enumerate(env.stack.ports):
-            _note(port, "close", order, f"port {i}")
+        order = _note(env, "close")
         failing = env.stack.ports[0].close
 
         def fail() -> None:
@@ -250,19 +249,17 @@ class SafetyContract:
         env.stack.ports[0].close = fail
         with pytest.raises(kind):
             env.close()
-        assert set(order) == {f"port {i}" for i in range(len(env.stack.ports))}
+        assert set(order) == set(_ports(env))
         assert breaks.is_closed
 
     def test_when_a_port_does_not_open_none_stays_open(self) -> None:
         """Whether the reset is the first one or not; the next one opens all again."""
         env = self.make_env()
-        order: list[str] = []
-        for i, port in enumerate(env.stack.ports):
-            _note(port, "close", order, f"port {i}")
+        order = _note(env, "close")
         restore = _raise_in(env.stack.ports[-1], "open", OSError("no cable"))
         with pytest.raises(OSError, match="no cable"):
             env.reset(seed=1)
-        assert set(order) == {f"port {i}" for i in range(len(env.stack.ports))}
+        assert set(order) == set(_ports(env))
         with pytest.raises(WrongOrder):
             env.step(env.action_space.sample())
         restore()
@@ -288,7 +285,7 @@ class SafetyContract:
     # What the tests share.
 
     def set_in_motion(self, env: Env) -> _BreaksAt:
-        """Reset, and have every arm on its way to a target that it has not reached."""
+        """Reset, and have every arm on its way to a target that it has not reached; `held` then notes who holds."""
         breaks = _BreaksAt()
         for stack in chains_of(env).values():
             stack.layers.append(breaks)
@@ -296,10 +293,12 @@ class SafetyContract:
         observation, _ = env.reset(seed=1)
         for _ in range(3):
             observation, *_ = env.step(go(env, observation))
+        self.held = _note(env, "hold")
         return breaks
 
     def require_that_all_stand_still(self, env: Env) -> None:
-        """Check that no joint moves while time passes, once it has braked."""
+        """Check that every device was told to hold, and that no joint moves while time passes, once it has braked."""
+        assert set(self.held) == set(_ports(env))  # an arm that goes on to its target also stands there in the end
         self.let_time_pass(env)
         before = joints_of(env)
         self.let_time_pass(env)
@@ -370,11 +369,18 @@ def _interrupt_once(thing: Any, method: str) -> Callable[[], None]:
     return lambda: delattr(thing, method)
 
 
-def _note(thing: Any, method: str, order: list[str], name: str) -> None:
-    real = getattr(thing, method)
+def _ports(env: Env) -> list[str]:
+    return [f"port {i}" for i in range(len(env.stack.ports))]
 
-    def noted() -> None:
+
+def _note(env: Env, method: str) -> list[str]:
+    """Return the ports whose method is called from now on, in order."""
+    order: list[str] = []
+
+    def noted(name: str, real: Callable[[], None]) -> None:
         order.append(name)
         real()
 
-    setattr(thing, method, noted)
+    for name, port in zip(_ports(env), env.stack.ports, strict=True):
+        setattr(port, method, partial(noted, name, getattr(port, method)))
+    return order

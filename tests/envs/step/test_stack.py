@@ -15,7 +15,7 @@ from rcs.envs.gates.gate import Gate
 from rcs.envs.layers import Layer
 from rcs.envs.ports.port import Port
 from rcs.envs.step.chain import Chain
-from rcs.envs.step.stack import Stack
+from rcs.envs.step.stack import Stack, for_all
 from rcs.errors import InvalidSetup, Refused, UnknownName
 
 
@@ -254,3 +254,16 @@ def test_in_real_time_a_step_says_how_late_it_is_and_how_old_its_readings_are() 
     time.sleep(0.1)
     assert env.step(env.action_space.sample())[-1]["late"] > 0.05
     env.close()
+
+
+def test_a_call_that_ctrl_c_interrupts_is_made_again_before_the_others() -> None:
+    made: list[str] = []
+
+    def interrupted() -> None:
+        made.append("first")
+        if len(made) == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        for_all([interrupted, lambda: made.append("second")])
+    assert made == ["first", "first", "second"]
