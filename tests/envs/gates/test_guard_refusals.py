@@ -123,6 +123,8 @@ def test_a_check_that_is_late_or_dies_lets_nothing_through(monkeypatch: pytest.M
     guard = Guard(deadline=1e-9)
     with rcs.make("PickCuboid", gates=[guard]) as env:
         start = env.reset(seed=0)[0]["joints"]
+        sent: list[Any] = []
+        monkeypatch.setattr(env.stack, "send", sent.append)
         action = {"joints": np.full(7, 0.02), "gripper": OPEN}
         for _ in range(5):
             observation, *_, info = env.step(action)
@@ -136,6 +138,7 @@ def test_a_check_that_is_late_or_dies_lets_nothing_through(monkeypatch: pytest.M
         with pytest.raises(RuntimeError, match="out of memory"):
             env.step(action)
         np.testing.assert_allclose(env.simulation.robots[0].joints, start, atol=2e-3)
+        assert not sent
 
 
 def test_a_guard_is_part_of_the_setup_by_its_name_with_its_options() -> None:
