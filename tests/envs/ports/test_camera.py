@@ -118,12 +118,19 @@ def test_a_camera_that_stalls_has_all_devices_hold_until_it_goes_on(camera: Fake
 
 def test_a_camera_that_cannot_be_opened_again_says_why(camera: FakeCamera, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rcs.envs.ports.camera_thread.RECONNECT", 0.01)
-    env = make(camera, stale_after=0.5)
+
+    class Portless(FakeCamera):
+        def _open(self) -> None:
+            if not self.body.has_link:
+                raise OSError("no such port")
+
+    portless = Portless(camera.mode, name="side")
+    env = make(portless, stale_after=0.5)
     env.reset(seed=0)
-    camera.lose_link()
+    portless.lose_link()
     told: list[str] = []
     wait_for(lambda: bool(told.append(str(env.step(stay(env))[-1].get("faults", ""))) or told[-1]))
-    assert "the link is lost" in told[-1]
+    assert "no such port" in told[-1]
     env.close()
 
 

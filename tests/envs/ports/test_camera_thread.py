@@ -37,11 +37,12 @@ def test_what_is_added_to_a_frame_is_in_one_that_is_being_made_meanwhile_too() -
     amending = threading.Thread(target=feed.amend, args=({"matrix": 2},), name="amends")
     amending.start()
     amending.join(0.1)
+    feed.end()  # no later frame, which would have it anyway
     may_go_on.set()
     amending.join(20.0)
+    feed.close()
     assert feed.newest is not None
     assert feed.newest[0]["matrix"] == 2
-    feed.close()
 
 
 def test_a_thread_that_runs_is_not_started_again() -> None:

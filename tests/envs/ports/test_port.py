@@ -362,11 +362,16 @@ class Servo(StreamedArm):
         pass
 
 
-def test_a_streamed_arm_knows_the_rate_of_its_commands_and_tells_what_it_clamps() -> None:
+def test_a_streamed_arm_knows_the_rate_of_its_commands_and_tells_what_it_clamps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     arm = Servo()
     with rcs.make("Free", robot="fr3", frequency=20.0, hardware=Site(arms={"fr3": arm})) as env:
         assert arm.period == pytest.approx(0.05)
         env.reset()
-        *_, info = env.step({"joints": np.zeros(7), "gripper": np.ones(1, np.float32)})
+        *_, info = env.step(STAY)
         assert info["clamped"] == {"servo": arm.clamped()}
         assert not any(arm.clamped().values())
+        monkeypatch.setattr(arm, "clamped", lambda: {"speed": 3})
+        *_, info = env.step(STAY)
+        assert info["clamped"] == {"servo": {"speed": 3}}
