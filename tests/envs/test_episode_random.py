@@ -36,6 +36,8 @@ def test_draws_are_those_of_splitmix64_and_never_change() -> None:
         states = np.arange(1, 4, dtype=np.uint64) * GAMMA
     expected = np.array([0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F], np.uint64)
     np.testing.assert_array_equal(mix(states), expected)
+    assert int(EpisodeRandom(1, 2).bits()) == 0x3E12204644234BB0
+    assert float(EpisodeRandom(1, 2).branch("light").uniform(0.0, 1.0)) == 0.8763211448408749
 
 
 def test_neighbouring_seeds_and_episodes_draw_evenly_and_independently() -> None:

@@ -66,6 +66,7 @@ def test_copies_that_start_anew_by_themselves_go_on_in_new_episodes_with_their_o
     whole = [episode for episode in dataset if episode.length == 7]
     assert len(whole) == 6
     first = {int(episode.seed or 0): episode for episode in whole if episode.id in ("000000", "000001", "000002")}
+    assert sorted(first) == [0, 1, 2]
     for seed, episode in first.items():
         seen = list(episode.frames("observation/frames/side/rgb"))
         np.testing.assert_array_equal(seen, [frame[seed] for frame in frames[:7]])
