@@ -18,6 +18,7 @@ import rcs
 from rcs.cli.main import main
 from rcs.cli.run import RunCommand
 from rcs.devices.fakes import FakeArm
+from rcs.envs.env import Env
 
 SERVE = """
 import os, sys
@@ -105,7 +106,17 @@ def test_a_policy_moves_the_devices_of_a_site_and_a_person_judges(
     assert not arms[0].is_open
 
 
-def test_devices_hold_when_the_server_dies_in_an_episode(arms: list[FakeArm], tmp_path: Path) -> None:
+def test_devices_hold_when_the_server_dies_in_an_episode(
+    arms: list[FakeArm], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held: list[bool] = []
+    hold = Env.hold
+
+    def noted(self: Env) -> None:
+        held.append(arms[0].is_open)
+        hold(self)
+
+    monkeypatch.setattr(Env, "hold", noted)
     served, address = serve(3)
     try:
         data = tmp_path / "data"
@@ -125,6 +136,7 @@ def test_devices_hold_when_the_server_dies_in_an_episode(arms: list[FakeArm], tm
         episode = Dataset.open(data).episodes[0]
         assert 2 < len(episode.column("notes/policy_is_held")) < 60
         assert served.wait(10) == 9
+        assert any(held)
         assert not arms[0].is_open
     finally:
         served.kill()

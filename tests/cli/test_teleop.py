@@ -16,10 +16,10 @@ from tests.teleop.scripted_device import ScriptedDevice, at, held
 
 
 def person(address: str | None) -> InputDevice:
-    """A person who takes the robot over if need be, makes a take of half a second, and stops."""
+    """A person who makes a take of half a second, in the middle of which they take the robot over, and stops."""
 
     def script(t: float) -> HandReading:
-        buttons = {"start": (0.5, 0.6), "success": (1.1, 1.2), "takeover": (0.1, 0.2), "stop": (1.7, 2.0)}
+        buttons = {"start": (0.5, 0.6), "success": (1.1, 1.2), "takeover": (0.8, 0.9), "stop": (1.7, 2.0)}
         held_down = [name for name, (begin, end) in buttons.items() if begin <= t < end]
         return held(at(0.0, 0.02 * np.sin(t), 1.0), *(["clutch"] if t > 0.4 else []), *held_down)  # type: ignore[arg-type]
 
@@ -80,8 +80,8 @@ def test_an_agent_acts_until_the_person_takes_over(tmp_path: Path) -> None:
     )
     (episode,) = Dataset.open(out).episodes
     words = episode.info.feature("notes/actor").words
-    assert {words[int(number) - 1] for number in episode.column("notes/actor")[1:]} == {"person"}
-    assert (episode.outcome or {})["latency"]["command"]["count"] > 3
+    assert {words[int(number) - 1] for number in episode.column("notes/actor")[1:]} == {"policy", "person"}
+    assert (episode.outcome or {})["latency"]["command"]["count"] > 0
 
 
 def test_the_buttons_of_a_second_device_count(tmp_path: Path) -> None:
