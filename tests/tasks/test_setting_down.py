@@ -79,6 +79,8 @@ def test_a_cuboid_that_is_dropped_onto_its_goal_was_not_set_down(task: str) -> N
         if is_dropped and np.linalg.norm(info["cuboid"][:3] - info["goal"][:3]) < 0.01 and not info["is_touched"]:
             break
         assert not terminated
+    else:
+        pytest.fail("the cuboid never lay where it belongs")
     assert is_dropped
     for _ in range(40):
         *_, info = env.step({**action, "gripper": np.ones(1, np.float32)})
