@@ -21,9 +21,11 @@ def test_the_recipe_moves_every_robot_by_translation_yaw_and_gripper(robot: str)
     observation, _ = env.reset(seed=0)
     assert flat.action_space.shape == (5,)
     assert np.abs(flat.observation(observation)).max() < 10.0  # nothing that a network could not take
+    start = observation["tquat"][2]
     down = {"xyzyaw": np.array([0.0, 0.0, -0.02, 0.0]), "gripper": np.ones(1, np.float32)}
     for _ in range(3):
         observation = env.step(down)[0]
+    assert observation["tquat"][2] < start - 1e-3
     assert observation["target"]["tquat"][2] < observation["tquat"][2] + 1e-3
     env.close()
 
