@@ -152,6 +152,12 @@ class Client(RemotePolicy):
                 raise
             other = replace(self.address, scheme="wss" if self.address.scheme == "vlas" else "ws")
             raise DeadlineExceeded(f"{error} If it serves a websocket, its address is {other}.") from error
+        except ConnectionLost as error:
+            channel.close()
+            if isinstance(channel, SharedChannel) or self.address.scheme == "vlas":
+                raise
+            other = replace(self.address, scheme="vlas")
+            raise ConnectionLost(f"{error} If it serves TLS, its address is {other}.") from error
         except BaseException:
             channel.close()
             raise

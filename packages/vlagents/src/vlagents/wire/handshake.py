@@ -63,7 +63,7 @@ def ask(link: Link, address: str, headers: dict[str, str], deadline: Deadline) -
 
     Raises:
         Unauthorized: The token is missing or wrong.
-        ConnectionLost: The server has none to give.
+        ConnectionLost: The server has none to give, or ends the connection, as one with TLS does.
     """
     protocol = ClientProtocol(parse_uri(address), logger=_log)
     request = protocol.connect()
@@ -71,7 +71,11 @@ def ask(link: Link, address: str, headers: dict[str, str], deadline: Deadline) -
         request.headers[name] = value
     protocol.send_request(request)
     link.send([memoryview(data) for data in protocol.data_to_send()], deadline)
-    head = _head(link, deadline)
+    try:
+        head = _head(link, deadline)
+    except ConnectionError as error:
+        tls = f" If it serves TLS, its address is wss{address[2:]}." if address.startswith("ws:") else ""
+        raise ConnectionLost(f"{address} gave no answer: {str(error).rstrip('.')}.{tls}") from error
     status = head.split(b"\r\n", 1)[0].decode(errors="replace")[:200]
     number = (status.split(" ") + ["", ""])[1]
     if number == "401":
