@@ -110,21 +110,23 @@ def send_raw(left: SharedChannel, file: int | None, *, number: int, slot: int, s
 
 
 @pytest.mark.parametrize(
-    ("slot", "slot_size", "size", "number"),
+    ("slot", "slot_size", "size", "number", "words"),
     [
-        (2, 1 << 20, 100, 0),
-        (2**63, 1 << 20, 100, 0),
-        (0, 1 << 20, 1 << 20, 0),
-        (0, 2**63, 100, 0),
-        (0, 1 << 20, 100, 5),
+        (2, 1 << 20, 100, 1, "no room"),
+        (2**63, 1 << 20, 100, 1, "no room"),
+        (0, 1 << 20, 1 << 20, 1, "no room"),
+        (0, 2**63, 100, 1, "no room"),
+        (0, 1 << 20, 100, 5, "does not hold message 5"),
     ],
 )
-def test_a_place_that_is_none_is_refused(channels: Any, slot: int, slot_size: int, size: int, number: int) -> None:
+def test_a_place_that_is_none_is_refused(
+    channels: Any, slot: int, slot_size: int, size: int, number: int, words: str
+) -> None:
     left, right = channels
     left.send({"a": np.zeros(100_000, np.uint8)}, soon())
     right.receive(soon())
     send_raw(left, None, number=number, slot=slot, slot_size=slot_size, size=size)
-    with pytest.raises(BadMessage):
+    with pytest.raises(BadMessage, match=words):
         right.receive(soon())
 
 

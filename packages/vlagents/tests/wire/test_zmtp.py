@@ -103,7 +103,7 @@ def test_a_ping_between_frames_is_answered_and_other_commands_are_passed_over(
         b"\x01\x00\x01\x03abc\x00\x00",  # more than one frame
         b"\x01\x00\x02" + struct.pack(">Q", 1001),  # too long
         b"\x01\x00\x06" + struct.pack(">Q", 256),  # a long command
-        b"\x08\x00",  # flags that are not in use
+        b"\x09\x00\x00\x03abc",  # flags that are not in use
     ],
 )
 def test_frames_against_the_rule_end_the_connection(peer: tuple[socket.socket, ZmtpChannel], frames: bytes) -> None:
