@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rcs.devices import Arm, ArmLimits, Camera, CameraCalibration, CameraMode, Gripper, Hand
+from rcs.devices import Arm, ArmLimits, ArmState, Camera, CameraCalibration, CameraMode, Gripper, Hand
 from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper, FakeHand
 from rcs.errors import DeviceFault, InvalidAction
 from rcs.robots.tactile import DIGIT
@@ -104,6 +105,28 @@ def test_a_device_that_takes_commands_in_fault_fails_and_is_commanded_no_more(li
     sent = len(commands)
     threading.Event().wait(0.01)
     assert len(commands) == sent > 1
+
+
+def test_a_device_whose_measurements_keep_their_time_fails(limits: ArmLimits) -> None:
+    class Frozen(FakeArm):
+        began = 0.0
+
+        def _open(self) -> None:
+            super()._open()
+            self.began = time.monotonic()
+
+        def _state(self) -> ArmState:
+            now = super()._state()
+            return ArmState(list(now.joints), list(now.joint_velocities), time=self.began)
+
+    class Contract(ArmContract):
+        max_age = 0.1
+
+        def make_device(self) -> Arm:
+            return Frozen(limits)
+
+    with pytest.raises(AssertionError):
+        Contract().test_a_measurement_has_the_time_of_the_host()
 
 
 def test_a_camera_without_a_serial_number_that_is_another_one_afterwards_fails(clock) -> None:

@@ -133,13 +133,15 @@ class DeviceContract(Generic[D]):
         assert not device.is_open
 
     def test_a_measurement_has_the_time_of_the_host(self) -> None:
-        """Its own clock, where it has one, does not run backwards."""
+        """Of when it was made, also after a pause. Its own clock, where it has one, does not run backwards."""
         with self.open_device() as device:
             begin = time.monotonic()
             first = self.measure(device)
-            self.advance(0.05)
+            self.advance(1.5 * self.max_age)
+            asked = time.monotonic()
             second = self.measure(device)
             assert begin - self.max_age <= first.time <= second.time <= time.monotonic()
+            assert second.time >= asked - self.max_age
             assert math.isnan(first.device_time) or second.device_time >= first.device_time
 
     # --- Faults -------------------------------------------------------------------------------------------------------

@@ -178,13 +178,14 @@ class MotionContract(StoppingContract[D]):
             assert device.fault == ""
 
     def test_a_newer_command_is_not_ended_by_the_time_of_the_one_before(self) -> None:
-        """A command without an end moves the device to its target."""
+        """A command without an end moves the device to its target, and so does one with a later end."""
         with self.open_device() as device:
-            target = self.target_of(device)
-            self.command(device, self.position(device), 0.1)
-            self.command(device, target)
-            time.sleep(0.15)
-            self.require_reached(device, target)
+            start, target = self.position(device), self.target_of(device)
+            for there, valid_for in ((target, math.inf), (start, self.time_limit)):
+                self.command(device, self.position(device), 0.1)
+                self.command(device, there, valid_for)
+                time.sleep(0.15)
+                self.require_reached(device, there)
 
 
 class Stopwatch(FakeGripper):
