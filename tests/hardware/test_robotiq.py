@@ -12,7 +12,7 @@ import pytest
 
 from rcs.devices import Gripper
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
-from rcs.hardware.robotiq import RobotiqDriver, RobotiqGripper
+from rcs.hardware.robotiq import SILENCE, RobotiqDriver, RobotiqGripper
 from rcs.hardware.robotiq_lines import ModbusLine, RobotiqStatus, status_of
 from rcs.robots import ROBOTIQ_2F85
 from rcs.testing import GripperContract
@@ -161,6 +161,7 @@ def test_an_answer_that_is_late_or_lost_is_no_wrong_value(gripper: Gripper, virt
 @pytest.mark.hardware
 def test_it_holds_though_its_thread_was_kept_from_reading(gripper: Gripper) -> None:
     assert isinstance(gripper, RobotiqGripper)
+    gripper._speed = 0  # the slowest, which takes 4 s to close
     gripper.command_opening(0.0)
     time.sleep(0.1)
     gripper._is_ending = True
@@ -169,6 +170,12 @@ def test_it_holds_though_its_thread_was_kept_from_reading(gripper: Gripper) -> N
     time.sleep(1.1)
     gripper.hold()
     assert not gripper.fault
+    assert gripper._transport is not None
+    time.sleep(0.2)
+    stands = gripper._transport.read().position
+    time.sleep(0.3)
+    assert gripper._transport.read().position == pytest.approx(stands, abs=3)
+    assert 10 < stands < 200
 
 
 @pytest.mark.hardware
@@ -218,16 +225,17 @@ class Line:
     """A line to an active gripper that stands open, until it is cut."""
 
     def __init__(self, lines: list[Line]) -> None:
-        self.is_cut = False
+        self.is_cut, self.is_active = False, True
+        self.written: list[dict[str, Any]] = []
         lines.append(self)
 
     def read(self) -> RobotiqStatus:
         if self.is_cut:
             raise DeviceFault("cut")
-        return status_of((3 << 12, 0, 3 << 8), time.monotonic())
+        return status_of(((3 if self.is_active else 0) << 12, 0, 3 << 8), time.monotonic())
 
     def write(self, **registers: Any) -> None:
-        """Take a command."""
+        self.written.append(registers)
 
     def close(self) -> None:
         self.is_cut = True
@@ -241,6 +249,23 @@ def test_recover_connects_anew_where_the_old_line_is_dead() -> None:
         gripper.recover()
         assert len(lines) == 2
         assert gripper.state().opening == 1.0
+
+
+def test_a_hold_after_a_gap_activates_no_gripper_that_has_lost_its_power_meanwhile() -> None:
+    lines: list[Line] = []
+    with RobotiqGripper("192.0.2.1", ROBOTIQ_2F85, {}, transport=lambda address: Line(lines)) as gripper:
+        gripper.command_opening(0.0)
+        until = time.monotonic() + 3.0
+        while not lines[0].written:
+            assert time.monotonic() < until
+            time.sleep(0.005)
+        gripper._is_ending = True
+        assert gripper._thread is not None
+        gripper._thread.join()
+        lines[0].is_active = False
+        time.sleep(2 * SILENCE + 0.1)
+        gripper.hold()
+        assert not lines[0].written[-1]["activate"]
 
 
 @pytest.mark.parametrize(

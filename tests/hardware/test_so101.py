@@ -94,10 +94,13 @@ def test_a_hold_stops_the_arm_and_the_next_command_goes_on(virtual):
     arm, _ = devices(virtual)
     with arm:
         start = np.array(arm.state().joints)
-        lead(arm, start + TO, 0.5)
+        switch_on(arm)
+        arm.command_joints(start + [1.5, 0, 0, 0, 0])
+        wait_until(lambda: arm.state().joints[0] > start[0] + 0.05)
         arm.hold()
         time.sleep(0.4)
         held = np.array(arm.state().joints)
+        assert held[0] < start[0] + 1.4
         time.sleep(0.3)
         assert np.abs(arm.state().joints - held).max() < 0.01
         lead(arm, start, 1.0)

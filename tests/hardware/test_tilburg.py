@@ -87,7 +87,7 @@ def test_opening_switches_nothing_on(served: VirtualProcess) -> None:
         before = hand.state().joints
         time.sleep(0.3)
         np.testing.assert_allclose(hand.state().joints, before, atol=0.01)
-        assert not hand._is_powered  # pyright: ignore[reportAttributeAccessIssue]
+        assert not hand._read(TORQUE, 1).any()  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_the_first_command_bounds_the_current_of_every_motor(served: VirtualProcess) -> None:
