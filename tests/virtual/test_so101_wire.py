@@ -16,7 +16,7 @@ from rcs.errors import InvalidSetup
 from rcs.virtual import VirtualWorld, read_events, usual_setup
 from rcs.virtual.so101_wire import So101Wire
 
-TORQUE_ON, GOAL, TORQUE_LIMIT, POSITION = 40, 42, 48, 56
+TORQUE_ON, GOAL, TORQUE_LIMIT, POSITION, LOAD = 40, 42, 48, 56, 60
 
 
 class Bus:
@@ -162,6 +162,10 @@ def test_a_servo_without_load_or_torque_is_never_overloaded():
     with bus_of() as (bus, _):
         for servo in (1, 2):
             bus.write(servo, 35, 5, 1)  # protection after 0.05 s
+        bus.write(2, 36, 1, 1)  # that counts from 1 % of its torque
+        time.sleep(0.3)
+        assert bus.read(2, LOAD) & 1023 > 10, "on the stand, it carries the arm"
+        assert bus.ask(2, 1)[0][4] == 0
         bus.write(1, TORQUE_ON, 1, 1)  # the base turns about the vertical and carries nothing
         time.sleep(0.5)
         assert [bus.ask(servo, 1)[0][4] for servo in (1, 2)] == [0, 0]

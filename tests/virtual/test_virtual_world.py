@@ -123,12 +123,15 @@ def test_the_objects_are_where_an_environment_has_them_with_the_same_seed():
 def test_a_reset_leaves_the_robot_where_it_is():
     with world_of() as world:
         robot = world.robots["so101"]
+        wait_until(lambda: robot.joints[0] > 0.1)  # away from home
         world.wires["so101"].is_still = True
-        time.sleep(0.2)
+        time.sleep(0.4)
         before = robot.joints
+        assert before[0] > 0.05
         tell(world.name, ("reset", "5"))
-        time.sleep(0.05)
-        assert np.allclose(robot.joints, before, atol=2e-3)
+        for _ in range(10):
+            assert np.allclose(robot.joints, before, atol=2e-3)
+            time.sleep(0.005)
 
 
 def test_a_push_presses_on_the_tcp_until_it_is_cleared():
@@ -269,12 +272,21 @@ def test_an_arm_that_is_led_to_no_number_brakes_within_the_limits(tmp_path):
 def test_the_gripper_moves_at_its_speed_and_grasps_with_its_force():
     with world_of() as world:
         robot = world.robots["so101"]
-        robot.move(0.03, 0.2)
-        time.sleep(0.1)
-        assert robot.width > 0.05
+        begin, quarter = world.world.time.item(), robot.gripper.grasp_force / 4
+        robot.move(0.03, 0.05)
+        wait_until(lambda: world.world.time.item() > begin + 0.4)
+        way = 0.05 * (world.world.time.item() - begin)
+        assert robot.width == pytest.approx(robot.gripper.max_width - way, abs=0.01)
         assert not robot.is_grip_still
+        robot.move(0.03)
         wait_until(lambda: robot.is_grip_still)
         assert robot.width == pytest.approx(0.03, abs=3e-3)
+        forces = []
+        robot.grasp(0.1, None, quarter)  # as fast as this force can
+        for _ in range(20):
+            time.sleep(0.01)
+            forces.append(robot.grip_force)
+        assert np.median(forces) == pytest.approx(quarter, rel=0.1)
 
 
 def test_an_arm_without_a_wire_is_refused(monkeypatch: pytest.MonkeyPatch):
