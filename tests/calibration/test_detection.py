@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rcs.calibration import Board, detect
 from rcs.calibration.board_pose import project
+from rcs.calibration.detection import _straightening
 from rcs.errors import InvalidSetup
 from rcs.spatial import Intrinsics, Pose, distort, pixel_rays
 
@@ -68,6 +69,10 @@ def test_a_lens_that_folds_its_picture_over_beyond_the_board_is_no_obstacle() ->
         pixel_rays(lens.matrix, SIZE, lens.distortion)
     blank = np.full(SIZE[::-1], 120, np.uint8)
     assert len(detect(BOARD, blank, lens)) == 0
+    lookup, first = _straightening(lens)
+    taken = np.argwhere(lookup[..., 0] >= -1)[:, ::-1] + first
+    # Up to there, r - r³ / 2 rises with r.
+    assert 0.7 < np.linalg.norm((taken - (240, 180)) / 300, axis=-1).max() < np.sqrt(2 / 3) + 1e-6
 
 
 @pytest.mark.parametrize("lens", [lens_of(0.0), lens_of(-0.3)], ids=["straight", "bent"])

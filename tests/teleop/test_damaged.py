@@ -11,7 +11,7 @@ import pytest
 
 from rcs.teleop.dynamixel import Answers, packet
 from rcs.teleop.headset_messages import FrameMessage, decode, hand_of
-from rcs.teleop.input_events import InputEvents
+from rcs.teleop.input_events import HIGHEST, InputEvents
 from rcs.teleop.spacemouse import KnobReports
 from rcs.teleop.terminal_keys import TerminalKeys
 
@@ -53,10 +53,12 @@ def test_bytes_of_a_terminal(step: int) -> None:
     random_ = random.Random(step)
     good = [b"\x1b[119u", b"\x1b[119;1:3u", b"\x1b[1;2:2A", b"\x1b[0n", b"\x1b[?62;1c", b"\x1bOA", b"\x1b[O"]
     stream = b"".join(damaged(random_, random_.choice(good)) for _ in range(COUNT // 3))
+    while any(code in stream for code in (b"\x03", b"99", b"67")):  # what may be Ctrl-C: as such, c and C
+        stream = stream.replace(b"\x03", b"").replace(b"99", b"").replace(b"67", b"")
     keys = TerminalKeys()
     for at in range(0, len(stream), step):
         for event in keys.feed(stream[at : at + step]):
-            assert event.kind != "interrupt" or b"\x03" in stream or b"99" in stream
+            assert event.kind != "interrupt"
     assert keys.damaged > 0
     keys.feed(b"\x1b" * 100)
     assert [event.key for event in keys.feed(b"\x1b[119;1:3uw")][-2:] == ["w", "w"]
@@ -69,9 +71,9 @@ def test_events_of_the_kernel() -> None:
     feed: Callable[[bytes], None] = keys.feed
     for _ in range(COUNT):
         feed(damaged(random_, good))
+        assert all(not key.isdigit() or int(key) <= HIGHEST for key in keys.pressed)
         keys.pressed.clear()
     assert keys.damaged > 0
-    assert len(keys.held) <= 0x2FF
 
 
 @pytest.mark.slow

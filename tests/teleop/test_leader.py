@@ -71,7 +71,7 @@ def test_a_leader_is_read_a_hundred_times_a_second(feetech: Bus) -> None:
         begin = time.monotonic()
         for _ in range(20):
             device.read()
-        assert time.monotonic() - begin >= 0.19
+        assert 0.19 <= time.monotonic() - begin < 1.0
 
 
 @pytest.mark.parametrize("kind", ["feetech", "dynamixel"])
