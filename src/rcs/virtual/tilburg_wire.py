@@ -10,7 +10,7 @@ import os
 import pty
 import tty
 from collections.abc import Mapping, Sequence
-from math import degrees
+from math import degrees, pi
 from typing import Any, ClassVar
 
 import numpy as np
@@ -63,7 +63,7 @@ class TilburgWire(Wire):
         self._input = b""
         self._missing: set[int] = set()
         self._overloaded: set[int] = set()
-        signs = np.array([-1.0 if name in REVERSED else 1.0 for name in self._hand.joints])
+        self._signs = signs = np.array([-1.0 if name in REVERSED else 1.0 for name in self._hand.joints])
         lower, upper = (
             np.array([degrees(one) for one in ends]) for ends in (self._hand.joint_lower, self._hand.joint_upper)
         )
@@ -72,8 +72,7 @@ class TilburgWire(Wire):
         self._motors = {number: bytearray(REGISTERS) for number in MOTORS}
         for number, own in self._motors.items():
             own[0:2], own[7], own[MODE] = MODEL.to_bytes(2, "little"), number, 3
-        self._last = self._ticks()
-        self._measure(robot.period)
+        self._measure()
 
     def site(self) -> Mapping[str, Mapping[str, Any]]:
         """Return the site entry of the hand."""
@@ -99,7 +98,7 @@ class TilburgWire(Wire):
 
     def tick(self, robot: VirtualRobot) -> None:
         """Move powered motors to their goals; the others stay where they are."""
-        self._measure(robot.period)
+        self._measure()
         ticks = self._ticks()
         goals = [
             int.from_bytes(own[GOAL : GOAL + 4], "little", signed=True) if own[TORQUE] else ticks[i]
@@ -142,11 +141,11 @@ class TilburgWire(Wire):
         share = np.asarray(self._robot.body.hand_joints, np.float64)
         return np.rint(self._lowest + share * (self._highest - self._lowest)).astype(int)
 
-    def _measure(self, period: float) -> None:
-        ticks = self._ticks()
-        speeds = np.rint((ticks - self._last) / STEPS / period * 60.0 / 0.229).astype(int)
-        self._last = ticks
-        for own, at, speed in zip(self._motors.values(), ticks.tolist(), speeds.tolist(), strict=True):
+    def _measure(self) -> None:
+        body = self._robot.body
+        # Of the simulation, not of two positions: a step of the encoder in a tick would be 32 units, and none is rest.
+        speeds = np.rint(self._signs * body.world.qvel[body.layout.finger_qvel] * 30.0 / pi / 0.229).astype(int)
+        for own, at, speed in zip(self._motors.values(), self._ticks().tolist(), speeds.tolist(), strict=True):
             own[POSITION : POSITION + 4] = int(at).to_bytes(4, "little", signed=True)
             own[SPEED : SPEED + 4] = int(speed).to_bytes(4, "little", signed=True)
 
