@@ -16,9 +16,9 @@ def test_rotations_are_composed_as_the_relative_layer_applies_them() -> None:
     pose = start
     for step in steps:
         pose = shift(pose, step)
-    at_once = shift(start, _tquat(steps))
+    at_once = shift(start, _tquat(steps, 30.0))
     assert (np.asarray(distance(pose, at_once)) < 1e-9).all()
-    np.testing.assert_allclose(shift(start, xyzrpy_to_tquat(_xyzrpy(tquat_to_xyzrpy(steps)))), at_once, atol=1e-9)
+    np.testing.assert_allclose(shift(start, xyzrpy_to_tquat(_xyzrpy(tquat_to_xyzrpy(steps), 30.0))), at_once, atol=1e-9)
     twists = np.array([np.append(step[:3], Pose.from_tquat(step).rotvec) for step in steps])
     whole = _twist(twists * 30.0, 30.0) / 30.0 * len(twists)
     turn = Pose.from_rotvec(whole[:3], whole[3:]).tquat

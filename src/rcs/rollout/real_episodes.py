@@ -54,7 +54,7 @@ class RealEpisodes:
         self._objects: Poses = {}
         self._placed: dict[str, Any] = {}
         self._fault: DeviceFault | None = None
-        """What ended the last episode as a fault; a gate that stopped it leaves no device in its fault state."""
+        """The fault that ended the last episode; a gate that stopped it leaves no device in its fault state."""
 
     @property
     def outcome(self) -> dict[str, Any]:
@@ -96,8 +96,8 @@ class RealEpisodes:
             raise Refused(f"Nothing has moved, because nobody agreed to this: {question}")
         lay = Pose.from_tquat(self._objects[self._placer.name])
         found = self._placer.set_down(seed, Pose.from_tquat(grasp).inverse() * lay)
-        if found.why == FAULT:
-            self._fault = DeviceFault("Setting the object down ended as a fault.")
+        if found.why == FAULT and not any(self._env.stack.faults().values()):
+            self._fault = DeviceFault("A gate has stopped the robot while it set the object down.")
         return found
 
     def _look_for(self, found: SetDown | None, seed: int) -> tuple[Poses, dict[str, Any]]:
