@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import os
 import re
 import signal
 import subprocess
@@ -33,7 +34,7 @@ pytestmark = [
     ),
 ]
 
-ADDRESS = "127.0.52.31"
+ADDRESS = f"127.{64 + (os.getpid() >> 8) % 64}.{os.getpid() % 250 + 1}.31"
 OPTIONS = {"backend": "pylibfranka", "collision_force": 400.0, "collision_torque": [80.0] * 7}
 """Options with which it does not matter what the virtual robot touches."""
 

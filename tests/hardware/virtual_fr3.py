@@ -11,7 +11,7 @@ from rcs.hardware.franka import FrankaArm, FrankaOptions
 from rcs.robots import FR3
 from rcs.virtual import VirtualProcess
 
-ADDRESS = "127.0.52.1"
+ADDRESS = f"127.{64 + (os.getpid() >> 8) % 64}.{os.getpid() % 250 + 1}.52"
 """Where the tests with `franky-control` start it."""
 STIFF = FrankaOptions(collision_force=400.0, collision_torque=(80.0,) * 7)
 """Limits with which it does not matter what the virtual robot touches."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 
 import numpy as np
@@ -19,7 +20,7 @@ from rcs.virtual.franka_messages import (
     MoveStatus,
 )
 
-ADDRESS = "127.0.51.1"
+ADDRESS = f"127.{64 + (os.getpid() >> 8) % 64}.{os.getpid() % 250 + 1}.51"
 
 
 class Client:

@@ -133,7 +133,7 @@ class DeviceContract(Generic[D]):
         assert not device.is_open
 
     def test_a_measurement_has_the_time_of_the_host(self) -> None:
-        """The moment of the measurement, also after a pause. Its own clock, where it has one, does not run backwards."""
+        """The moment of the measurement, also after a pause; the device's own clock does not run backwards."""
         with self.open_device() as device:
             begin = time.monotonic()
             first = self.measure(device)
