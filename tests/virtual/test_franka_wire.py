@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Generator
 
@@ -156,7 +157,7 @@ def test_what_is_not_of_the_protocol_ends_the_connection_and_nothing_else(client
 
 
 def test_an_address_that_is_taken_is_refused(robot: VirtualProcess):
-    with pytest.raises(InvalidSetup, match=r"Port 1337.*127\.0\.51\.1.*another address"):
+    with pytest.raises(InvalidSetup, match=rf"Port 1337.*{re.escape(ADDRESS)}.*another address"):
         Listener(Line(), ADDRESS, ARM_PORT, ARM_HEADER, REQUESTS)
 
 
