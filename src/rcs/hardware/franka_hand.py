@@ -20,8 +20,6 @@ SAME: Final = 1e-3
 """Widths that differ by less count as equal and do not interrupt a motion [m]."""
 SILENCE: Final = 0.3
 """Age of the last state from which the hand counts as silent [s]."""
-
-
 STOPPING: Final = 0.1
 """Time after which fingers that still move are told to stop again [s]."""
 CLOSING: Final = 1.5

@@ -166,16 +166,16 @@ class World:
     def read_pose(self, body: str, frame: str = "world") -> int:
         """Register the pose of a body in the frame of another one; return its index in `poses`.
 
-        It is valid from the next step or `refresh` on; at once if readouts have been used before, as `renew` says.
+        It is valid from the next step or `refresh` on; at once if readouts have been used before (`update_readouts`).
 
         Raises:
             KeyError: A body is not in the model.
         """
         index = self.core.read_body_pose(self.model.body(body).id, self.model.body(frame).id)
-        self.renew()
+        self.update_readouts()
         return index
 
-    def renew(self) -> None:
+    def update_readouts(self) -> None:
         """Have the arrays of readouts include those that were added to `core`; to be called after adding some.
 
         If the arrays have been used before, all readouts are refreshed: forces are then 0 until the next step.
