@@ -9,7 +9,7 @@
 # make sims          environments of the simulators LIBERO, ManiSkill and Meta-World, and of vla-eval (first time: about 6 GB and
 #                    10 minutes); part of test-interop
 # make test-wires    policies over openpi's wire, asked and served by its own client and layout; part of test-interop
-# make test-hardware the drivers, over their vendors' libraries, against virtual robots; five minutes. As in .ci/run
+# make test-hardware the drivers, over their vendors' libraries, against virtual robots; about six minutes. As in .ci/run
 # make test-hardware-all the same with the contracts of arms and grippers; a quarter of an hour
 # make test-cluster  Ray clusters of two machines on this one, parts of which are killed; 3 to 5 minutes
 # make test-sanitize the C++ tests, and the Python tests of what uses the core, under the sanitizers of addresses and undefined

@@ -62,7 +62,7 @@ def calibrate_leader(
         for at, name in enumerate(arm.joints):
             show(
                 f"{at + 1} of {arm.dof}: turn {name} alone by 30° in the direction in which the robot's joint grows "
-                f"(`rcs sim {arm.name}` shows it)."
+                f"(`rcs sim Free --robot {arm.name}` shows it)."
             )
             signs.append(_direction(bus, at, name))
         ask("Close the gripper, and press Enter.")
