@@ -76,7 +76,12 @@ def summary(lines: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "skew": ("skew_p99_ms",),
     }
     found = {name: worst(part, name) for part, own in names.items() for name in own}
-    failed = [f"{robot}: {part}" for robot, line in lines.items() for part, one in line.items() if "failed" in one]
+    failed = [
+        f"{robot}: {part}"
+        for robot, line in lines.items()
+        for part, one in line.items()
+        if "failed" in one or one.get("fault")
+    ]
     return {**{name: value for name, value in found.items() if value is not None}, "failed": failed}
 
 

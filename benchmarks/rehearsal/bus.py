@@ -1,4 +1,4 @@
-"""Count wrong readings of an SO101's servos in motion while packets are late, lost and damaged.
+"""Count wrong readings of an SO101's five joints in motion while packets are late, lost and damaged.
 
 A reading is right when the servo was there between the request and the answer, by the robot's own log, within a step of
 the encoder.
@@ -17,7 +17,6 @@ from rcs.hardware.servo_bus import TIMEOUT
 from rcs.hardware.so101_servos import ARM, GOAL, Servos, read_calibration
 
 FAULTS = (("late", "20/100"), ("lose", "1/100"), ("corrupt", "1/100"))
-SERVOS = 6
 STEP = 2 * np.pi / 4096
 
 
@@ -35,7 +34,7 @@ def measure(reads: int) -> dict[str, Any]:
         for fault in FAULTS:
             one.virtual.tell(*fault)
         begin = time.monotonic()
-        for k in range(reads // SERVOS):
+        for k in range(reads // len(ARM)):
             if k % 5 == 0:  # all of them, differently, so that no answer fits another request
                 way = 200 * np.sin((time.monotonic() - begin) * np.linspace(2.0, 3.0, len(ARM)))
                 goals = {servo: round(start[servo] + step) for servo, step in zip(ARM, way, strict=True)}
@@ -64,10 +63,10 @@ def measure(reads: int) -> dict[str, Any]:
         wrong += int((beside > STEP).sum())
         worst = max(worst, float(beside.max()))
     return {
-        "reads": SERVOS * len(found),
+        "reads": len(ARM) * len(found),
         "wrong": wrong,
-        "refused": SERVOS * refused,
+        "refused": len(ARM) * refused,
         "repeated_requests": repeated,
         "worst_mrad": round(1e3 * worst, 2),
-        "reads_per_second": round(SERVOS * len(found) / seconds),
+        "reads_per_second": round(len(ARM) * len(found) / seconds),
     }

@@ -148,9 +148,11 @@ def measure(robot: str, tries: int) -> dict[str, Any]:
             "brakes_p99_ms": percentile(brakes, 99),
             "stands_max_ms": percentile([one[1] for one in times_of if one], 100),
         }
+    if unknown := [kind for kind in ("hold", *ENDS) if found[kind]["n"] < tries]:
+        return {"failed": f"the robot did not move before some of the ends: {', '.join(unknown)}", **found}
     return {
         "hold_p99_ms": found["hold"]["brakes_p99_ms"],
-        "orphan_ms": max((found[end]["brakes_p99_ms"] or 0.0) for end in ENDS),
+        "orphan_ms": max(found[end]["brakes_p99_ms"] for end in ENDS),
         **found,
         "robot_late": late,
     }

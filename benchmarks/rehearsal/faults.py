@@ -9,6 +9,7 @@ from __future__ import annotations
 import tempfile
 import threading
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -141,7 +142,8 @@ def try_kind(robot: str, kind: str, tries: int) -> dict[str, Any]:
         begin, end = np.searchsorted(ticks["time"], trial["recover"])
         joints = ticks["joints"][begin:end]
         moved.append(1e3 * float(np.abs(joints - joints[0]).max(initial=0.0)) if len(joints) else np.nan)
-    missing = sum(not {trial["steps"], trial["steps"] + 1} & set(kept) for trial in seen if trial["says"])
+    expected = Counter(trial["steps"] for trial in seen if trial["says"])
+    missing = (expected - Counter(kept)).total()
     times = [trial["ms"] for trial in seen]
     return {
         "n": tries - sum(trial["is_early"] for trial in seen),
@@ -151,7 +153,8 @@ def try_kind(robot: str, kind: str, tries: int) -> dict[str, Any]:
         "p99_ms": percentile(times, 99),
         "max_ms": percentile(times, 100),
         "rows_lost": missing,
-        "moved_mrad": round(max(moved), 2),
+        "moved_mrad": round(float(np.nanmax(moved)), 2),
+        "moved_unknown": int(np.isnan(moved).sum()),
         "recover_failed": [trial["failure"] for trial in seen if trial["failure"]][:1],
         "works_not": len(broken),
         **({"because": broken[0]} if broken else {}),
