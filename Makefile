@@ -17,11 +17,11 @@
 #                    fuzzer make that many calls besides
 # make check         format, lint, types, import layers, stubs
 # make docs          build the documents as a site, with a reference of all public names, in build/docs; warnings are errors
-# make bench         every benchmark: one line of JSON each
+# make bench         every benchmark: one line of JSON each; installs what test-extras and test-hardware do
 # make format        format Python and C++;   make stubs   write the stubs of the extension anew
 # make clean         remove build products; .venv and datasets stay
 #
-# PYTHON=python3.12 make test   uses another interpreter than the first suitable one on the path.
+# PYTHON=python3.12 make test   uses another interpreter than the first suitable one on the path, if there is no .venv yet.
 
 SHELL := /bin/sh
 .SUFFIXES:
@@ -52,7 +52,14 @@ help:
 
 build: $(VENV)/.stamp-built
 
-$(VENV)/.stamp-venv:
+# An environment keeps the Python that made it.
+.PHONY: same-python
+same-python:
+	@[ -z '$(PYTHON)' ] || [ ! -e $(BIN)/python ] || { version='import sys; print("%d.%d" % sys.version_info[:2])' && \
+	  has=$$($(BIN)/python -c "$$version") && { [ "$$($(PYTHON) -c "$$version")" = "$$has" ] || { \
+	  echo "PYTHON is $(PYTHON), but $(VENV) has Python $$has. Remove $(VENV), or leave PYTHON out." >&2; exit 1; }; }; }
+
+$(VENV)/.stamp-venv: | same-python
 	@python=$$(PYTHON='$(PYTHON)' tools/system_packages build) && \
 	  echo "==> Making $(VENV) with $$($$python --version)" && \
 	  { $(BIN)/python -m pip --version >/dev/null 2>&1 || $$python -m venv --clear $(VENV); }
@@ -82,8 +89,9 @@ demo: build gl
 	@$(BIN)/rcs collect PickCuboid --robot fr3 --episodes 20 --out $(DEMO) --seed 1 --cameras wrist side
 	@test -f $(DEMO)/report.html && echo "==> The report is $(CURDIR)/$(DEMO)/report.html: open it in a browser"
 
-bench: build gl
-	@for file in benchmarks/*.py; do [ -e "$$file" ] || continue; $(BIN)/python "$$file" || exit 1; done
+bench: $(VENV)/.stamp-extras $(VENV)/.stamp-drivers gl
+	@failed=; for file in benchmarks/*.py; do $(BIN)/python "$$file" || failed="$$failed $$file"; done; \
+	  [ -z "$$failed" ] || { echo "==> Failed:$$failed" >&2; exit 1; }
 
 # --- Documents -------------------------------------------------------------------------------------------------------
 
@@ -106,8 +114,9 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=$(JOBS) --max
   --durations=10
 
 # Runs the tests that $(2) selects by the command $(1). What fails is run once more, by itself, and has to pass then: other work
-# on a machine makes late what keeps real time. The first failures are printed all the same.
-TESTED = $(1) $(2) || { echo "==> Testing once more what failed" && \
+# on a machine makes late what keeps real time. The first failures are printed all the same. Only after status 1: then every test
+# has run, and of $(2) the cache has those that failed. With any other status the run itself is broken.
+TESTED = $(1) $(2) || { [ $$? -eq 1 ] && echo "==> Testing once more what failed" && \
   OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(2) --last-failed --last-failed-no-failures none; }
 
 test: test-cpp gl
@@ -325,6 +334,7 @@ stubs: build
 	@$(STUBGEN) $(STUB)
 
 clean:
-	@rm -rf build dist .pytest_cache .ruff_cache .import_linter_cache .hypothesis .coverage
-	@find core src tests examples tools -name __pycache__ -type d -exec rm -rf {} +
+	@rm -rf build dist packages/*/build packages/*/dist .ruff_cache .import_linter_cache .hypothesis .coverage .coverage.*
+	@rm -rf __pycache__ .pytest_cache packages/*/.pytest_cache
+	@find core src tests examples tools benchmarks packages -name __pycache__ -type d -exec rm -rf {} +
 	@rm -f $(VENV)/.stamp-built
