@@ -77,7 +77,7 @@ class Judge:
     """Finds contacts of the robot with MuJoCo alone."""
 
     def __init__(self, model: mujoco.MjModel, joints: list[int], home: np.ndarray) -> None:
-        """Note what moves with the joints, and what of it always touches."""
+        """Note what moves with the joints, and where the robot always touches itself."""
         self.model, self.data = model, mujoco.MjData(model)
         self.joints = joints
         moving = np.zeros(model.nbody, bool)
@@ -85,10 +85,10 @@ class Judge:
             owns = any(model.jnt_bodyid[j] == body for j in joints)
             moving[body] = owns or moving[model.body_parentid[body]]
         self.moving = moving[model.geom_bodyid]
-        self.always = self._contacts(home)
+        self.always = {pair for pair in self._contacts(home) if model.geom_bodyid[list(pair)].all()}  # 0 is the world
 
     def touches(self, q: np.ndarray) -> bool:
-        """Return True if there is a contact that is not there at home."""
+        """Return True if there is a contact, other than those of the robot with itself at home."""
         return bool(self._contacts(q) - self.always)
 
     def _contacts(self, q: np.ndarray) -> set[tuple[int, ...]]:
