@@ -26,6 +26,7 @@ import tyro
 from rcs_data import Dataset
 from rcs_data.check import check
 from rehearsal.other_ends import ENDS, End, Want
+from rehearsal.other_programs import watch
 
 import rcs
 from rcs.agents import Agent, Event, PickExpert
@@ -166,6 +167,7 @@ def _way(tcp: Any, target: Any) -> Any:
 
 def main(options: Options) -> None:
     """Measure and print."""
+    is_busy = watch()
     robot = "so101" if options.input == "so101_leader" else "fr3"
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_CONFIG_HOME"] = folder
@@ -194,7 +196,7 @@ def main(options: Options) -> None:
             "held": person.held,
             "readings": feed.readings,
             "left_out": dict(feed.counts),
-            "busy": os.getloadavg()[0] > 0.25 * (os.cpu_count() or 1),
+            "busy": is_busy(),
         }
     print(json.dumps(result))
 

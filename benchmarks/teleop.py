@@ -39,6 +39,7 @@ from rcs_data import Dataset
 from rcs_data.check import check
 from rcs_data.files.flags import FrameFlag
 from rehearsal.dead_inputs import Person, drop, held
+from rehearsal.other_programs import watch
 
 import rcs
 from rcs.agents import Agent, Event, PickExpert
@@ -80,8 +81,9 @@ def main(options: Options) -> None:
     """Measure and print."""
     parts = {"pick": pick, "latency": latency, "loop": loop, "drop": lambda own: drop(own.times, own.seed, own.input)}
     for name in [name for name in parts if getattr(options, name)] or ["pick"]:
+        is_busy = watch()
         for result in parts[name](options):
-            print(json.dumps({"part": name, **result, "busy": os.getloadavg()[0] > 0.25 * (os.cpu_count() or 1)}))
+            print(json.dumps({"part": name, **result, "busy": is_busy()}))
 
 
 # --- What a person gets done ------------------------------------------------------------------------------------------
