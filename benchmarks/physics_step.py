@@ -161,19 +161,20 @@ def fall(physics_step: float) -> float:
 
 def robot_row(robot: str, physics_step: float) -> dict[str, Any]:
     """Return how a robot holds the cuboid, hits the table, and moves."""
-    held = Held(robot, physics_step)
+    held, effector = Held(robot, physics_step), EFFECTORS.get(robot, {})
     found = {"grip": float(np.mean(held.wait(REST))), "sunk": 1e3 * held.sunk()}
     place = held.in_hand()
     held.wait(MINUTE)
     found |= {"slip": 1e3 * float(np.linalg.norm(held.in_hand() - place)), "swing": 1e3 * held.swing()}
     held.env.close()
     for speed in IMPACTS:
-        found[f"impact_{speed:g}"] = float(hit(robot, speed, physics_step, **EFFECTORS.get(robot, {}))["peak_force"])
-    env = make(robot, "async", control="joints", physics_step=physics_step)
+        found[f"impact_{speed:g}"] = float(hit(robot, speed, physics_step, **effector)["peak_force"])
+    env = make(robot, "async", control="joints", physics_step=physics_step, **effector)
     moved = steps(env, Log(env))
     env.close()
     found |= {"overshoot": moved["overshoot_deg"], "settling": moved["settling_s"]}
-    found |= {key.removesuffix("_mm"): value for key, value in line(robot, physics_step=physics_step).items()}
+    along = line(robot, physics_step=physics_step, **effector)
+    found |= {key.removesuffix("_mm"): value for key, value in along.items()}
     return {"physics_step": physics_step, "robot": robot} | {key: round(value, 4) for key, value in found.items()}
 
 
