@@ -5,9 +5,9 @@ random, the worst case for whatever compresses. 8 x 8 actions come back. Every s
 what is measured is the way there and back. All ways take turns, some calls each, and the medians of all calls count.
 
 References: openpi's stock client and its message layout (`openpi-client` wants NumPy below 2, so it runs in
-build/interop/openpi, which is made when missing, or with `--openpi PYTHON`), pyzmq (TCP, several parts, no copies) and
-rpyc (bytes, no compression) where they are installed. `copy_ms` is one copy of the images into memory that is there:
-on a machine that does other work, this alone may take longer than the rest of the way.
+build/interop/openpi, which is made when missing, or with `--openpi PYTHON`), and pyzmq (TCP, several parts, no copies)
+where it is installed. `copy_ms` is one copy of the images into memory that is there: on a machine that does other work,
+this alone may take longer than the rest of the way.
 
 Prints one JSON object: the medians `shm_ms`, `tcp_ms`, `ws_ms`, those of the references or why there are none, and
 `p99_ms` by name.
@@ -87,21 +87,6 @@ def serve_zmq(_: str, told: Any) -> None:
             replies.send(np.tile([*row, *row], (8, 1)), copy=False)
 
 
-def serve_rpyc(_: str, told: Any) -> None:
-    """Serve with rpyc: bytes there, bytes back."""
-    import rpyc
-    from rpyc.utils.server import ThreadedServer
-
-    class Answers(rpyc.Service):
-        def exposed_infer(self, *parts: bytes) -> bytes:
-            row = [float(part[0]) for part in parts[:4]]
-            return np.tile([*row, *row], (8, 1)).tobytes()
-
-    server = ThreadedServer(Answers(), hostname="127.0.0.1", port=0)
-    told.send(str(server.port))
-    server.start()
-
-
 @contextmanager
 def served(serve: Callable[[str, Any], None], kind: str) -> Iterator[str]:
     """Serve in a process of its own, and return the address."""
@@ -127,24 +112,24 @@ def timed(act: Callable[[], Any], calls: int) -> list[float]:
 
 
 def ways(images: dict[str, Any], opened: ExitStack, options: Options) -> dict[str, Way | str]:
-    """Return the transports by name, or the reason why one is unavailable."""
+    """Return the wanted transports by name, or the reason why one is unavailable."""
     observation = Observation(images=images, state={"joints": np.arange(7.0)}, session="bench")
     memory = np.empty(sum(image.size for image in images.values()), np.uint8)
-    found: dict[str, Way | str] = {"copy": lambda calls: timed(lambda: copied(images, memory), calls)}
 
-    def ours(address: str, **given: Any) -> Way:
-        client = opened.enter_context(connect(address, **given))
+    def ours(kind: str, **given: Any) -> Way:
+        client = opened.enter_context(connect(opened.enter_context(served(serve_ours, kind)), **given))
         assert client.infer(observation).actions.shape == (8, 8)
         return lambda calls: timed(lambda: client.infer(observation), calls)
 
-    address = opened.enter_context(served(serve_ours, "vla"))
-    found["shm"], found["tcp"] = ours(address, is_shared=True), ours(address, is_shared=False)
-    found["ws"] = ours(opened.enter_context(served(serve_ours, "ws")))
-    for name, package, make in (("zmq", "pyzmq", zmq_way), ("rpyc", "rpyc", rpyc_way)):
-        has = importlib.util.find_spec(name) is not None
-        found[name] = make(images, opened) if has else f"the package {package} is not installed"
-    found["openpi"] = openpi_way(opened, options)
-    return {name: way for name, way in found.items() if not options.only or name in options.only}
+    makers: dict[str, Callable[[], Way | str]] = {
+        "copy": lambda: lambda calls: timed(lambda: copied(images, memory), calls),
+        "shm": lambda: ours("vla", is_shared=True),
+        "tcp": lambda: ours("vla", is_shared=False),
+        "ws": lambda: ours("ws"),
+        "zmq": lambda: zmq_way(images, opened),
+        "openpi": lambda: openpi_way(opened, options),
+    }
+    return {name: make() for name, make in makers.items() if not options.only or name in options.only}
 
 
 def copied(images: dict[str, Any], memory: Any) -> None:
@@ -155,8 +140,10 @@ def copied(images: dict[str, Any], memory: Any) -> None:
         at += image.size
 
 
-def zmq_way(images: dict[str, Any], opened: ExitStack) -> Way:
-    """Return the way over ZeroMQ."""
+def zmq_way(images: dict[str, Any], opened: ExitStack) -> Way | str:
+    """Return the way over ZeroMQ, or why there is none."""
+    if importlib.util.find_spec("zmq") is None:
+        return "the package pyzmq is not installed"
     import zmq
 
     address = opened.enter_context(served(serve_zmq, ""))
@@ -171,38 +158,14 @@ def zmq_way(images: dict[str, Any], opened: ExitStack) -> Way:
     return lambda calls: timed(ask, calls)
 
 
-def rpyc_way(images: dict[str, Any], opened: ExitStack) -> Way:
-    """Return the way over rpyc."""
-    import rpyc
-
-    port = int(opened.enter_context(served(serve_rpyc, "")))
-    deadline = time.monotonic() + 5.0
-    while True:  # it says its port before it listens there
-        try:
-            connection = rpyc.connect("127.0.0.1", port)
-            break
-        except ConnectionRefusedError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.05)
-    connection._channel.compress = False
-    opened.callback(connection.close)
-    state = np.arange(7.0).tobytes()
-
-    def ask() -> None:
-        answer = connection.root.infer(*(image.tobytes() for image in images.values()), state)
-        assert np.frombuffer(answer, np.float64).size == 64
-
-    return lambda calls: timed(ask, calls)
-
-
 def openpi_way(opened: ExitStack, options: Options) -> Way | str:
     """Return the way of openpi's stock client to a server with its layout, or why there is none."""
-    python = options.openpi or ROOT / "build" / "interop" / "openpi" / "bin" / "python"
-    if not python.exists():
+    place = ROOT / "build" / "interop" / "openpi"
+    if options.openpi is None and not (place / ".stamp").exists():
         made = subprocess.run([ROOT / "tools" / "reader_environment", sys.executable, "openpi"], check=False)
         if made.returncode:
             return "its environment could not be made; --openpi names an interpreter that has openpi-client"
+    python = options.openpi or place / "bin" / "python"
     folder = ROOT / "tests" / "interop"
     serving = subprocess.Popen([python, folder / "openpi_server.py"], stdout=subprocess.PIPE, text=True)
     opened.callback(serving.kill)
@@ -228,7 +191,7 @@ def main(options: Options) -> None:
         for turn in range(options.rounds + 1):
             for name, way in found.items():
                 if not isinstance(way, str):
-                    took = way(5 if turn == 0 else max(options.calls // 6, 5) if name == "rpyc" else options.calls)
+                    took = way(options.calls if turn else 5)
                     times.setdefault(name, []).extend(took if turn else [])  # the first round warms up
         result |= {f"{name}_skipped": why for name, why in found.items() if isinstance(why, str)}
     result |= {f"{name}_ms": round(1e3 * float(np.median(each)), 3) for name, each in times.items()}
