@@ -21,16 +21,13 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import tyro
+from loader import collected
 from rcs_data import Dataset
 from rcs_data.convert.lerobot.export import export_lerobot
 from rcs_data.convert.lerobot.layout import IMAGES
 from rcs_data.convert.lerobot.video import VideoReader, encode_video
 from rcs_data.convert.options import ExportOptions, VideoCodec
 from rcs_data.read.trajectory import camera_features
-
-import rcs
-from rcs.rollout.collect import collect
-from rcs.rollout.collection import Collection, Progress
 
 # Bare encoding takes a sample of episodes: it does not depend on their number.
 SAMPLE = 20
@@ -53,7 +50,7 @@ class Options:
 def main(options: Options) -> None:
     """Measure and print."""
     with tempfile.TemporaryDirectory() as folder:
-        source = options.dataset or collected(Path(folder) / "dataset", options)
+        source = options.dataset or collected(Path(folder) / "dataset", options.episodes, workers=2)
         dataset = Dataset.open(source)
         out = Path(folder) / "export"
         start, used = time.perf_counter(), time.process_time()
@@ -74,16 +71,6 @@ def main(options: Options) -> None:
             "workers": options.workers,
         }
     print(json.dumps(result))
-
-
-def collected(path: Path, options: Options) -> Path:
-    """Collect the dataset."""
-    setup = rcs.Setup(
-        task="PickCuboid", robot="fr3", cameras=rcs.Cameras(names=("wrist", "side"), image_size=(224, 224))
-    )
-    for _ in collect(Collection(setup=setup, out=path, episodes=options.episodes, seed=1, workers=2), Progress()):
-        pass
-    return path
 
 
 def reference(dataset: Dataset, folder: Path, options: Options) -> float:

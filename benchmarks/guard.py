@@ -284,11 +284,8 @@ def main(options: Options) -> None:
     for robot in options.robot:
         shares = [options.motions // options.workers] * options.workers
         seeds = np.random.SeedSequence(options.seed).generate_state(options.workers).tolist()
-        if options.workers == 1:
-            found = [measure(robot, options.motions, seeds[0])]
-        else:
-            with ProcessPoolExecutor(options.workers, mp_context=get_context("fork")) as pool:
-                found = list(pool.map(measure, [robot] * options.workers, shares, seeds))
+        with ProcessPoolExecutor(options.workers, mp_context=get_context("fork")) as pool:
+            found = list(pool.map(measure, [robot] * options.workers, shares, seeds))
         total = {key: sum(one[key] for one in found) for key in ("colliding", "free", "misses", "stops", "thin")}
         times = 1e3 * np.concatenate([one["times"] for one in found])
         figures = {

@@ -169,11 +169,8 @@ def main(options: Options) -> None:
         for mode in ("reject", "clip"):
             first, count = options.seed * options.episodes, options.workers
             shares = [range(first + k, first + options.episodes, count) for k in range(count)]
-            if count == 1:
-                found = [stream(task, robot, mode, shares[0])]
-            else:
-                with ProcessPoolExecutor(count, mp_context=get_context("fork")) as pool:
-                    found = list(pool.map(stream, [task] * count, [robot] * count, [mode] * count, shares))
+            with ProcessPoolExecutor(count, mp_context=get_context("fork")) as pool:
+                found = list(pool.map(stream, [task] * count, [robot] * count, [mode] * count, shares))
             times = 1e3 * np.concatenate([one["times"] for one in found])
             figures = {
                 "benchmark": "guard streams",

@@ -5,13 +5,9 @@ observation with both images and of 16 actions; a batch has 64. Every image of a
 that is read in order. The reference decodes the same JPEGs, held in memory, in random order and in as many processes,
 in rounds that alternate with the loader's; so the rest is what finding, reading and batching cost.
 
-The first batch is timed on its own, in a new process and with the files out of the page cache.
-
-Prints one JSON object: `first_batch_s` (opening the dataset and reading 32 windows [s]), `samples_per_second`,
-`decode_efficiency` (the share of the reference's rate) and `cpu_efficiency` (the share of the processor time that
-decoding takes, which other programs disturb less), by the number of workers of a `torch.utils.data.DataLoader`, 0 for
-none; without torch, of batches as NumPy arrays alone. Also `npy_samples_per_second`: the same samples from
-memory-mapped `.npy` files of pixels, without decoding, and `npy_size_ratio`, how many times as large those are.
+Prints one JSON object: `samples_per_second`, `decode_efficiency` (the share of the reference's rate) and
+`cpu_efficiency` (the share of the processor time that decoding takes, which other programs disturb less), by the number
+of workers of a `torch.utils.data.DataLoader`, 0 for none; without torch, of batches as NumPy arrays alone.
 """
 
 from __future__ import annotations
@@ -63,45 +59,21 @@ class Options:
 def main(options: Options) -> None:
     """Measure and print."""
     with tempfile.TemporaryDirectory() as folder:
-        path = options.dataset or collected(Path(folder) / "dataset", options)
-        first = first_batch(path)
+        path = options.dataset or collected(Path(folder) / "dataset", options.episodes, size=options.size)
         windows = Windows(Dataset.open(path), horizon=16)
         check(windows)
         result: dict[str, Any] = {"benchmark": "loader", "windows": len(windows), "cameras": len(windows.cameras)}
-        result["first_batch_s"] = round(first, 3)
         result |= measure(windows, options)
-        result |= npy(windows, Path(folder), options)
     print(json.dumps(result))
 
 
-def collected(path: Path, options: Options) -> Path:
-    """Collect the dataset."""
-    setup = rcs.Setup(
-        task="PickCuboid",
-        robot="fr3",
-        cameras=rcs.Cameras(names=("wrist", "side"), image_size=(options.size, options.size)),
-    )
-    for _ in collect(Collection(setup=setup, out=path, episodes=options.episodes, seed=1), Progress()):
+def collected(path: Path, episodes: int, *, size: int = 224, workers: int = 1) -> Path:
+    """Collect a dataset of PickCuboid with two cameras."""
+    cameras = rcs.Cameras(names=("wrist", "side"), image_size=(size, size))
+    setup = rcs.Setup(task="PickCuboid", robot="fr3", cameras=cameras)
+    for _ in collect(Collection(setup=setup, out=path, episodes=episodes, seed=1, workers=workers), Progress()):
         pass
     return path
-
-
-def first_batch(path: Path) -> float:
-    """Return the time of a new process to open a dataset and read a batch of 32 from the disk [s]."""
-    for file in filter(Path.is_file, path.rglob("*")):
-        with file.open("rb") as opened:
-            os.fsync(opened.fileno())
-            os.posix_fadvise(opened.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(read_first_batch, (path,))
-
-
-def read_first_batch(path: Path) -> float:
-    """Open a dataset, read 32 random windows, and return how long that took [s]."""
-    begin = time.perf_counter()
-    windows = Windows(Dataset.open(path), horizon=16)
-    windows.batch(np.random.default_rng(0).permutation(len(windows))[:32].tolist())
-    return time.perf_counter() - begin
 
 
 def check(windows: Windows) -> None:
@@ -211,29 +183,6 @@ def decode_all(jpegs: list[tuple[Any, bytes]], barrier: Barrier, answers: Simple
         feature, data = jpegs[i]
         decode_frame(feature, data)
     answers.put((time.perf_counter() - begin, time.process_time() - spent))
-
-
-def npy(windows: Windows, folder: Path, options: Options) -> dict[str, float]:
-    """Return the rate of the simplest loader there is: pixels in `.npy` files, one per episode and camera."""
-    pixels: dict[tuple[str, str], NDArray[np.uint8]] = {}
-    stored = 0
-    for name, feature in windows.cameras.items():
-        for n, episode in enumerate(windows.episodes):
-            path = folder / f"{name.replace('/', '_')}-{n}.npy"
-            np.save(path, episode.column(feature.key))
-            pixels[name, episode.id] = np.load(path, mmap_mode="r")
-            stored += sum(len(data) for data in episode.encoded_frames(feature.key))
-    rates = []
-    for _ in range(options.rounds):
-        begin = time.perf_counter()
-        for part in batches(np.random.default_rng(0).permutation(len(windows)), options):
-            places = [windows.place(i) for i in part]
-            windows.batch(part, images={})
-            for name in windows.cameras:
-                np.stack([pixels[name, episode.id][step] for episode, step in places])
-        rates.append(len(windows) / (time.perf_counter() - begin))
-    size = sum(array.nbytes for array in pixels.values())
-    return {"npy_samples_per_second": round(median(rates), 1), "npy_size_ratio": round(size / stored, 1)}
 
 
 if __name__ == "__main__":

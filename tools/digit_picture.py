@@ -6,14 +6,13 @@ python tools/digit_picture.py docs/digit.png
 from __future__ import annotations
 
 import math
-import struct
 import sys
-import zlib
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.files.codec import encode_png
 
 from rcs.errors import MissingDependency
 from rcs.robots.description import Mount
@@ -48,20 +47,6 @@ def press(name: str, look: Look) -> NDArray[np.uint8]:
     return frame
 
 
-def write_png(file: Path, image: NDArray[np.uint8]) -> None:
-    """Write a picture, (H, W, 3), with each row as its difference to the one above, which packs well."""
-    rows = image.astype(np.int16).reshape(len(image), -1)
-    above = np.diff(rows, axis=0, prepend=np.zeros_like(rows[:1])).astype(np.uint8)
-    raw = np.concatenate([np.full((len(rows), 1), 2, np.uint8), above], axis=1).tobytes()
-    parts = [
-        (b"IHDR", struct.pack(">IIBBBBB", image.shape[1], image.shape[0], 8, 2, 0, 0, 0)),
-        (b"IDAT", zlib.compress(raw, 9)),
-        (b"IEND", b""),
-    ]
-    chunks = [struct.pack(">I", len(d)) + t + d + struct.pack(">I", zlib.crc32(t + d)) for t, d in parts]
-    file.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
-
-
 def main() -> None:
     """Draw a row of frames per look."""
     rows = [[press(name, "rcs") for name in PRESSES]]
@@ -72,7 +57,7 @@ def main() -> None:
     gap = 6
     frames = [[np.pad(frame, ((0, gap), (0, gap), (0, 0)), constant_values=255) for frame in row] for row in rows]
     picture = np.concatenate([np.concatenate(row, axis=1) for row in frames], axis=0)
-    write_png(Path(sys.argv[1]), picture[:-gap, :-gap])
+    Path(sys.argv[1]).write_bytes(encode_png(picture[:-gap, :-gap]))
 
 
 if __name__ == "__main__":

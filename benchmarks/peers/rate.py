@@ -1,4 +1,4 @@
-"""Measure the rate of steps; shared by the programs of this folder, which run in Pythons without rcs."""
+"""Measure rates of steps and of samples; shared by the programs of this folder, which run in Pythons without rcs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import json
 import time
 from collections.abc import Callable
 from typing import Any
+
+HORIZON, BATCH = 16, 64
+"""Actions in a sample, and samples in a batch."""
 
 
 def report(step: Callable[[], Any], *, copies: int, control_period: float, physics_step: float, **more: Any) -> None:
@@ -39,3 +42,25 @@ def report(step: Callable[[], Any], *, copies: int, control_period: float, physi
             }
         )
     )
+
+
+def report_samples(reader: str, dataset: Any, *, workers: int, column: str) -> None:
+    """Load batches in random order for ten seconds, after a first one, and print one JSON line.
+
+    Args:
+        reader: Name of the reader.
+        dataset: A dataset for `torch.utils.data.DataLoader`, whose samples have `HORIZON` actions.
+        workers: Workers of the loader.
+        column: A column of a batch, whose rows are counted.
+    """
+    from torch.utils.data import DataLoader
+
+    loader: Any = DataLoader(
+        dataset, batch_size=BATCH, shuffle=True, num_workers=workers, persistent_workers=workers > 0
+    )
+    batches = (batch for _ in iter(int, 1) for batch in loader)
+    next(batches)
+    samples, start = 0, time.perf_counter()
+    while (seconds := time.perf_counter() - start) < 10.0:
+        samples += len(next(batches)[column])
+    print(json.dumps({"reader": reader, "samples_per_second": samples / seconds}))
