@@ -279,7 +279,8 @@ def loop(options: Options) -> list[dict[str, Any]]:
                 (images,) = take.image_numbers([f"observation/frames/{name}/rgb"]).values()
                 numbers = np.round(30.0 * np.asarray(take.column(f"time/device/frames/{name}")))
                 flags = np.asarray(take.column(f"flags/frames/{name}")).astype(int)
-                dropped = int((flags & FrameFlag.DROPPED != 0).sum())
+                # Rows that repeat a frame that was left out have both flags.
+                dropped = int((flags & (FrameFlag.DROPPED | FrameFlag.REPEATED) == FrameFlag.DROPPED).sum())
                 flagged += dropped
                 lost += int(np.ptp(numbers)) + 1 - len(np.unique(images)) - dropped
         mean, deviation = statistics.rates

@@ -122,6 +122,28 @@ def test_when_the_writer_is_too_slow_images_are_left_out_flagged_and_counted(
     assert caplog.text.count("slower than the loop") == 1
 
 
+def test_rows_that_repeat_an_image_that_was_left_out_are_flagged_until_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate(monkeypatch, "encode_frame")
+    given = [{**row, FLAGS: 0} for row in rows(6)]
+    for i in (2, 3, 5):
+        given[i] |= {RGB: None, FLAGS: int(FrameFlag.REPEATED)}
+    with DatasetWriter.open(tmp_path, INFO) as writer, Encoders(1) as encoders:
+        episode = start(writer, encoders=encoders, bound_bytes=IMAGE_BYTES)
+        for row in given[:4]:
+            episode.add(row)  # the first image is kept, the second is not
+        gate.open.set()
+        while encoders.waiting_bytes:
+            time.sleep(0.001)
+        for row in given[4:]:
+            episode.add(row)
+        record = episode.finish(True)
+    old, lost = FrameFlag.REPEATED, FrameFlag.DROPPED
+    assert record.flags("wrist").tolist() == [0, lost, lost | old, lost | old, 0, old]
+    assert record.timing["writer"]["dropped_images"] == 1
+
+
 def test_even_the_rows_that_wait_are_bounded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

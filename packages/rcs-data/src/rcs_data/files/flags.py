@@ -18,7 +18,8 @@ class FrameFlag(enum.IntFlag):
     MISSING = 4
     """The camera gave no usable frame."""
     DROPPED = 8
-    """The recorder had no room for a new frame: the disk or the processor is too slow."""
+    """The recorder had no room for a new frame: the disk or the processor is too slow. The row, and those that repeat
+    the frame, show an older one."""
 
 
 def camera_of(key: str) -> str | None:

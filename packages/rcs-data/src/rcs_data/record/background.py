@@ -165,6 +165,8 @@ class BackgroundEpisode:
         self._bound = bound_bytes
         self._images = {f.key: f for f in info.features if f.is_image}
         self._flags = {key: companion(key, info.features, "flags") for key in self._images}
+        self._lost: set[str] = set()
+        """Images of which the newest was left out."""
         self._is_borrowing = encoders is None
         self._encoders = borrow() if encoders is None else encoders
         self._lock = self._encoders.lock
@@ -200,11 +202,13 @@ class BackgroundEpisode:
         given = dict(row)
         with self._lock:
             if len(self._waiting) >= _MAX_ROWS:
+                self._lost |= {key for key in self._images if given.get(key) is not None}
                 self._count_drop(rows=1)
                 return
             size = sum(_bytes_of(given.get(key)) for key in self._images)
             if size and self._encoders.waiting_bytes + size > self._bound:
                 self._leave_out_images(given)
+        self._flag_lost(given)
         kept = {key: _own(value) for key, value in given.items()}
         new = [key for key in self._images if isinstance(kept.get(key), np.ndarray)]
         taken = _Row(kept, None if sim_state is None else _own(sim_state), missing=len(new))
@@ -279,11 +283,17 @@ class BackgroundEpisode:
         images = [key for key in self._images if row.get(key) is not None]
         for key in images:
             row[key] = None
-            flags = self._flags[key]
-            if flags is not None:
+        self._lost.update(images)
+        self._count_drop(images=len(images))
+
+    def _flag_lost(self, row: dict[str, Value]) -> None:
+        """Flag images that were left out, in the rows that repeat them, too."""
+        for key, flags in self._flags.items():
+            if row.get(key) is not None:
+                self._lost.discard(key)
+            elif key in self._lost and flags is not None:
                 before: Any = row.get(flags)
                 row[flags] = int(FrameFlag(int(before or 0)) | FrameFlag.DROPPED)
-        self._count_drop(images=len(images))
 
     def _count_drop(self, *, images: int = 0, rows: int = 0) -> None:
         if not self.dropped_images and not self.dropped_rows:
