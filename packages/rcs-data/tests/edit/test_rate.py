@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rcs_data import Dataset, check, edit
-from rcs_data.edit.rate import from_rotvec, from_rpy, kept_rows, multiply, normalized, to_rotvec, to_rpy
+from rcs_data.edit.rate import at_rate, from_rotvec, from_rpy, kept_rows, multiply, normalized, to_rotvec, to_rpy
 from rcs_data.errors import InvalidSetup
 from rcs_data.files.flags import FrameFlag
 
@@ -48,6 +49,15 @@ def test_of_absolute_actions_the_last_stays(tmp_path: Path, make_dataset: MakeDa
     before = Dataset.open(path).episodes[0].column("action/joints")
     edit.resample(path, 10)
     np.testing.assert_array_equal(Dataset.open(path).episodes[0].column("action/joints")[1:], before[3::3])
+
+
+def test_relative_actions_of_an_unknown_kind_are_refused(dataset: Path) -> None:
+    info = Dataset.open(dataset).info
+    features = [replace(f, key=f.key.replace("action/joints", "action/action")) for f in info.features]
+    info = replace(info, features=tuple(features))
+    with pytest.raises(InvalidSetup, match=r"^action/action cannot be resampled"):
+        at_rate(info, 5)
+    assert at_rate(replace(info, setup={}), 5).frequency == 5
 
 
 def test_rewards_are_summed_periods_too_and_ends_stay_ends(dataset: Path) -> None:

@@ -41,7 +41,8 @@ def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | No
         on_progress: Called with the number of episodes done and of all.
 
     Raises:
-        InvalidSetup: The rate is not a number, or not lower than the dataset's; nothing changes.
+        InvalidSetup: The rate is not a number, or not lower than the dataset's, or there are relative actions of which
+            nobody knows how to combine them; nothing changes.
         CorruptEpisode: An episode is damaged; nothing changes.
         DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
     """
@@ -58,11 +59,18 @@ def at_rate(info: DatasetInfo, frequency: float) -> DatasetInfo:
     """Return the info at a lower rate.
 
     Raises:
-        InvalidSetup: The rate is not lower than the dataset's.
+        InvalidSetup: The rate is not lower than the dataset's, or its relative actions cannot be combined.
     """
     if not 0 < frequency < info.frequency:
         raise InvalidSetup(
             f"frequency is {frequency:g}; valid is above 0 and below the dataset's {info.frequency:g} Hz."
+        )
+    actions = [feature.key for feature in info.features if feature.key.startswith("action/")]
+    unknown = [key for key in actions if key.split("/")[-1] not in (*_TOGETHER, *_ABSOLUTE)]
+    if unknown and _is_relative(info):
+        raise InvalidSetup(
+            f"{', '.join(unknown)} cannot be resampled: of actions relative to the step before, only "
+            f"{', '.join(_TOGETHER)} can be combined. Resample before the conversion, or leave them out of a mix."
         )
     return replace(info, frequency=frequency)
 
@@ -78,10 +86,9 @@ def resampled(rows: pa.Table, info: DatasetInfo, frequency: float) -> pa.Table:
     kept = kept_rows(rows.num_rows, info.frequency / frequency)
     taken = take_rows(rows, info, kept)
     columns = {field.name: taken.column(field.name).combine_chunks() for field in taken.schema}
-    is_relative = info.setup.get("relative") == "last_step"
     for feature in info.features:
         column = rows.column(feature.key).combine_chunks()
-        if feature.key.startswith("action/") and is_relative and feature.key.split("/")[-1] in _TOGETHER:
+        if feature.key.startswith("action/") and _is_relative(info) and feature.key.split("/")[-1] in _TOGETHER:
             columns[feature.key] = _together(column, feature, kept, info.frequency)
         elif feature.key in ("reward", "time/period"):
             columns[feature.key] = _summed(column, kept)
@@ -139,7 +146,11 @@ def _flags(column: pa.Array, feature: Feature, rows: pa.Table, info: DatasetInfo
     return pa.array(flags)
 
 
-def _joints(steps: NDArray[np.float64], _: float) -> NDArray[np.float64]:
+def _is_relative(info: DatasetInfo) -> bool:
+    return info.setup.get("relative") == "last_step"
+
+
+def _sum(steps: NDArray[np.float64], _: float) -> NDArray[np.float64]:
     return steps.sum(axis=0)
 
 
@@ -163,7 +174,9 @@ def _turned(turns: Iterable[Quaternion]) -> Quaternion:
 
 
 # How to combine several relative actions, given their rate [Hz], by the last word of their key.
-_TOGETHER = {"joints": _joints, "tquat": _tquat, "xyzrpy": _xyzrpy, "twist": _twist}
+_TOGETHER = {"joints": _sum, "tquat": _tquat, "xyzrpy": _xyzrpy, "xyzyaw": _sum, "twist": _twist}
+# Of these the last one counts, whatever the arm's are relative to.
+_ABSOLUTE = ("gripper", "hand")
 
 
 def _together(column: pa.Array, feature: Feature, kept: NDArray[np.int64], frequency: float) -> pa.Array:

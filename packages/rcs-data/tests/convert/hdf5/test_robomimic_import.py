@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from rcs_data import Dataset, check
+from rcs_data import Dataset, check, edit
 from rcs_data.convert.formats import import_format
 from rcs_data.convert.hdf5.robomimic import export_robomimic
 from rcs_data.convert.hdf5.robomimic_import import import_robomimic
@@ -30,6 +31,16 @@ def test_an_export_comes_back_with_observations_actions_and_verdicts(dataset: Pa
         np.testing.assert_array_equal(new.column("action/action"), action_layout(source.info).rows(old))
         np.testing.assert_array_equal(new.column("simulation/states")[:-1], old.sim_state()[:-1])
     assert check(tmp_path / "back").is_ok
+
+
+def test_relative_actions_come_back_as_such(make_dataset: Callable[..., Dataset], tmp_path: Path) -> None:
+    meaning = {"control": "joints", "relative": "last_step"}
+    source = make_dataset(episodes=1, cameras=False, setup={"robot": "fr3", **meaning})
+    export_robomimic(source, tmp_path / "out.hdf5")
+    back = import_robomimic(tmp_path / "out.hdf5", tmp_path / "back")
+    assert {key: back.info.setup.get(key) for key in meaning} == meaning
+    with pytest.raises(InvalidSetup, match="action/action cannot be resampled"):
+        edit.resample(back.path, 10)
 
 
 def test_normalised_actions_come_back_in_their_units(dataset: Path, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.steps import EpisodeAbout, StepColumn, import_episodes, record_steps
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.files.feature import Feature
-from rcs_data.files.info import DatasetInfo
+from rcs_data.files.info import MEANING_OF_ACTIONS, DatasetInfo
 from rcs_data.files.json_file import parsed_json
 from rcs_data.files.text import mended_text
 from rcs_data.read.reader import Dataset
@@ -114,10 +114,12 @@ def _plan(file: Any, names: list[str], options: ImportOptions) -> _Plan:
     words = (
         _instruction(data, demo) or options.instruction or kwargs.get("instruction") or environment.get("env_name", "")
     )
+    # Our own exports say what the numbers of an action are.
+    meaning = {key: kwargs[key] for key in MEANING_OF_ACTIONS if key in kwargs and PROVENANCE in demo.attrs}
     info = DatasetInfo(
         frequency=float(frequency),
         features=tuple(features.values()),
-        setup={"imported": {"format": "robomimic", "env_args": environment, "left_out": left_out}},
+        setup={**meaning, "imported": {"format": "robomimic", "env_args": environment, "left_out": left_out}},
         instruction=mended_text(str(words)),
         jpeg_quality=options.jpeg_quality,
     )
