@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import errno
 import pickle
 import shutil
 import zipfile
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, FrameAccess
-from rcs_data.errors import CorruptEpisode, InvalidSetup
+from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
+from rcs_data.files.frames_file import FramesFile
+from rcs_data.read import frame_access
 from rcs_data.read.frame_access import ByteCache
 
 RGB, LOSSLESS, DEPTH = (f"observation/frames/wrist/{kind}" for kind in ("rgb", "exact", "depth"))
@@ -80,16 +85,29 @@ def test_equal_images_are_one_image(tmp_path: Path) -> None:
     assert images[2] is not images[3]
 
 
-def test_few_files_stay_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_files_of_all_readers_stay_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = make(tmp_path / "dataset", 5)
-    monkeypatch.setattr("rcs_data.read.frame_access._MOST_OPEN", 1)
-    access = FrameAccess(cache_bytes=0)
+    opened: Any = lru_cache(1)(frame_access._opened.__wrapped__)
+    monkeypatch.setattr(frame_access, "_opened", opened)
+    access, other = FrameAccess(cache_bytes=0), FrameAccess()
     for row in (0, 4):
         for episode in found.episodes:
-            np.testing.assert_array_equal(access.frame(episode, RGB, row), episode.column(RGB)[row])
-    assert len(access._files) == len(access._numbers) == 1
+            for reader in (access, other):
+                np.testing.assert_array_equal(reader.frame(episode, RGB, row), episode.column(RGB)[row])
+    assert opened.cache_info().currsize == len(access._numbers) == 1
     copy = pickle.loads(pickle.dumps(access))
     np.testing.assert_array_equal(copy.frame(found.episodes[0], RGB, 1), found.episodes[0].column(RGB)[1])
+
+
+def test_too_many_open_files_are_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    episode = make(tmp_path / "dataset", 5).episodes[0]
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(DatasetError, match=r"frames\.zip: Too many open files"):
+        FramesFile(episode.path / "frames.zip")
 
 
 def test_what_is_not_there_is_refused(tmp_path: Path) -> None:

@@ -230,6 +230,8 @@ def test_torchs_own_tools_take_it(windows: Windows) -> None:
         data.random_split(whole, [0.5, 0.5])[0],
     ):
         assert sum(check(batch, windows) for batch in loader(part)) == len(part)
+    (first, *_) = data.DataLoader(whole, batch_size=None)
+    assert (first["images"]["wrist"].shape, str(first["state"].dtype)) == ((2, 3, 8, 12), "torch.float32")
 
 
 @pytest.mark.extras

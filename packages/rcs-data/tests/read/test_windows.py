@@ -201,7 +201,8 @@ def test_statistics_count_each_step_once(dataset: Dataset) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"history": 0}, "history is 0; it must be at least 1"),
+        ({"history": 0}, "history is 0; valid is a whole number from 1"),
+        ({"history": 1.5}, "history is 1.5; valid is a whole number from 1"),
         ({"horizon": 0}, "horizon is 0"),
         ({"stride": 0}, "stride is 0"),
         ({"pad": "zero"}, "valid are repeat, drop"),

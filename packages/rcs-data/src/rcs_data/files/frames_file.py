@@ -9,6 +9,7 @@ Python's zipfile reads the whole directory first: of 300 images, it takes 0.8 ms
 
 from __future__ import annotations
 
+import errno
 import os
 import struct
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 from isal.isal_zlib import crc32
 
-from rcs_data.errors import CorruptEpisode
+from rcs_data.errors import CorruptEpisode, DatasetError
 from rcs_data.files.durable import HashedFile
 
 # Records of PKWARE's APPNOTE.TXT 6.3.10, little-endian; offsets have 64 bits, so that all entries take as many bytes.
@@ -107,6 +108,7 @@ class FramesFile:
 
         Raises:
             CorruptEpisode: It is missing or not such a file.
+            DatasetError: Too many files are open.
         """
         self.path = path
         if not path.is_file():  # opening a pipe would never end
@@ -116,6 +118,8 @@ class FramesFile:
             self._size = os.fstat(self._file.fileno()).st_size
             mark, *_, count, size, start = _END64.unpack(self._at(self._size - _TAIL, _END64.size))
         except OSError as err:
+            if err.errno in (errno.EMFILE, errno.ENFILE):  # which says nothing about this one
+                raise DatasetError(f"Cannot open {path}: {err.strerror}. Raise the limit with `ulimit -n`.") from err
             raise CorruptEpisode(f"Cannot read {path}: {err.strerror or err}.") from err
         if mark != b"PK\x06\x06" or size != count * _ENTRY.size or start + size + _TAIL != self._size:
             raise CorruptEpisode(f"Cannot read {path}: it is not the file that was written.")

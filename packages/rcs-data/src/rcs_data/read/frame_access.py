@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
+from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -17,7 +18,7 @@ from rcs_data.read.episode_record import EpisodeRecord, decoded
 
 # Memory for the numbers of images by default [B], 4 per row and camera: 64 million images.
 _INDEX_BYTES = 1 << 28
-# A process may open 1024 files by default, and each worker has its own.
+# All readers of a process together; it may open 1024 files by default.
 _MOST_OPEN = 256
 T = TypeVar("T")
 
@@ -69,7 +70,10 @@ class ByteCache(Generic[T]):
 
 
 class FrameAccess:
-    """Reads single images of episodes. Not thread-safe; a copy in another process opens its own files."""
+    """Reads single images of episodes. Not thread-safe; a copy in another process opens its own files.
+
+    All of a process together keep at most 256 files open.
+    """
 
     def __init__(self, cache_bytes: int = _INDEX_BYTES) -> None:
         """Start with nothing read.
@@ -83,7 +87,7 @@ class FrameAccess:
         """
         self._cache_bytes = cache_bytes
         self._numbers: ByteCache[dict[str, NDArray[np.int32]]] = ByteCache(cache_bytes)
-        self._files: ByteCache[FramesFile] = ByteCache(_MOST_OPEN)
+        self._reader = object()
         self._decoded: dict[tuple[Any, ...], NDArray[Any]] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -142,8 +146,7 @@ class FrameAccess:
         wrong = [row for row in rows if not 0 <= row < len(numbers)]
         if wrong:
             raise InvalidSetup(f"Episode {episode.id!r} has no row {wrong[0]}; valid are 0 to {len(numbers) - 1}.")
-        file = self._files.get(episode.place, lambda: (FramesFile(episode.path / FRAMES_FILE), 1))
-        return numbers[np.asarray(rows, np.intp)], file
+        return numbers[np.asarray(rows, np.intp)], _opened(self._reader, episode)
 
     def _numbers_of(self, episode: EpisodeRecord, key: str) -> NDArray[np.int32]:
         def read() -> tuple[dict[str, NDArray[np.int32]], int]:
@@ -154,3 +157,9 @@ class FrameAccess:
         if not episode.info.feature(key).is_image:
             raise InvalidSetup(f"{key!r} is not an image; read it with column({key!r}).")
         return self._numbers.get(episode.place, read)[key]
+
+
+@lru_cache(_MOST_OPEN)
+def _opened(_reader: object, episode: EpisodeRecord) -> FramesFile:
+    """Return the open file with an episode's images; another reader opens it anew, since it may have been replaced."""
+    return FramesFile(episode.path / FRAMES_FILE)

@@ -62,7 +62,8 @@ class Dataset:
     def windows(self, *, history: int = 1, actions: int = 16, **options: Any) -> Windows:
         """Return the windows of all steps for training: some observations up to a step, and the actions from it on.
 
-        `torch.utils.data.DataLoader` takes them as they are.
+        `torch.utils.data.DataLoader` takes them as they are; in a `ConcatDataset`, or with `batch_size=None`, it takes
+        `rcs_data.TorchDataset(windows)`.
 
         Args:
             history: Observations in a window.

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from rcs_data.errors import InvalidSetup, require_fields
 from rcs_data.files.feature import Feature
 from rcs_data.files.output import OnProgress
+from rcs_data.options import require_whole
 from rcs_data.read.episode_record import EpisodeRecord
 from rcs_data.read.frame_access import ByteCache, FrameAccess
 from rcs_data.read.scale import Scaler, whole_size
@@ -73,8 +74,11 @@ class WindowBatch(TypedDict):
 class Windows(Sequence[Window]):
     """All windows of a dataset, read when accessed, in any order.
 
-    No file stays open, and caches are not copied to other processes, so workers of any kind may share it. Not
-    thread-safe.
+    `torch.utils.data.DataLoader` takes them as they are and gives the tensors of `TorchDataset`. It reads them one by
+    one, as the arrays that they are, inside of a `ConcatDataset` and with `batch_size=None`: there, give
+    `TorchDataset(windows)` instead.
+
+    Caches are not copied to other processes, so workers of any kind may share it. Not thread-safe.
     """
 
     def __init__(
@@ -112,9 +116,9 @@ class Windows(Sequence[Window]):
             InvalidSetup: An argument does not make sense, or there is no window.
             CorruptEpisode: The description of an episode is damaged.
         """
-        for name, value in (("history", history), ("horizon", horizon), ("stride", stride)):
-            if value < 1:
-                raise InvalidSetup(f"{name} is {value}; it must be at least 1.")
+        history = require_whole("history", history, 1)
+        horizon = require_whole("horizon", horizon, 1)
+        stride = require_whole("stride", stride, 1)
         if pad not in get_args(Padding):
             raise InvalidSetup(f"pad is {pad!r}; valid are {', '.join(get_args(Padding))}.")
         self.history, self.horizon, self.stride, self.pad = history, horizon, stride, pad
