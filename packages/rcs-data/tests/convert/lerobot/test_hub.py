@@ -19,7 +19,7 @@ from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs_data.convert.lerobot.export import export_lerobot
 from rcs_data.convert.lerobot.hub import pull, push
 from rcs_data.convert.lerobot.import_ import import_lerobot
-from rcs_data.convert.options import ImportOptions
+from rcs_data.convert.options import ExportOptions, ImportOptions
 from rcs_data.errors import DatasetError, InvalidSetup, MissingDependency
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
@@ -104,6 +104,8 @@ class Answers(BaseHTTPRequestHandler):
                         assert entry["value"]["encoding"] == "base64"
                         data = base64.b64decode(entry["value"]["content"])
                         self.server.repos[repo][entry["value"]["path"]] = data
+                    elif entry["key"] == "deletedFile":
+                        del self.server.repos[repo][entry["value"]["path"]]
                 self._json({"success": True, "commitUrl": f"{self._host}/datasets/{repo}/commit/{COMMIT}",
                             "commitOid": COMMIT})  # fmt: skip
             case "tag":
@@ -172,7 +174,7 @@ def source(tmp_path: Path) -> Dataset:
     features = (
         Feature(key="observation/joints", shape=(2,), dtype="float64"),
         Feature(key="observation/frames/side/rgb", shape=(32, 48, 3), dtype="uint8", encoding="jpeg"),
-        Feature(key="observation/frames/wrist/rgb", shape=(32, 48, 3), dtype="uint8", encoding="jpeg"),
+        Feature(key="observation/frames/left/wrist/rgb", shape=(32, 48, 3), dtype="uint8", encoding="jpeg"),
         Feature(key="action/joints", shape=(2,), dtype="float64"),
     )
     info = DatasetInfo(frequency=10, features=features, setup={"robot": "so101"}, instruction="wave")
@@ -207,15 +209,41 @@ def test_a_push_is_pulled_whole(hub: Hub, source: Dataset, tmp_path: Path, versi
 def test_a_part_is_pulled_without_the_rest(hub: Hub, source: Dataset, tmp_path: Path) -> None:
     export_lerobot(source, tmp_path / "export", version="2.1")
     push(tmp_path / "export", "me/wave")
-    root = pull("me/wave", tmp_path / "pulled", episodes=("1-2",), cameras=("wrist",))
+    root = pull("me/wave", tmp_path / "pulled", episodes=("1-2",), cameras=("left/wrist",))
     assert not [path for path in hub.served if "episode_000000" in path or "images.side" in path]
-    options = ImportOptions(episodes=("1-2",), cameras=("wrist",))
+    options = ImportOptions(episodes=("1-2",), cameras=("left/wrist",))
     assert [e.id for e in import_lerobot(root, tmp_path / "back", options).episodes] == ["b", "c"]
+    with pytest.raises(InvalidSetup, match=r"such as data/chunk-000/episode_000000\.parquet"):
+        push(root, "me/wave")  # of the Hub's copy, it would leave this part
     hub.served.clear()
     pull("me/wave", tmp_path / "pulled")  # the rest
     assert {path for path in hub.served if path.endswith(".parquet")} == {"data/chunk-000/episode_000000.parquet"}
     with pytest.raises(InvalidSetup, match="names no episode"):
         pull("me/wave", tmp_path / "pulled", episodes=("9",))
+
+
+@pytest.mark.extras
+def test_a_push_replaces_the_dataset_and_nothing_else(hub: Hub, source: Dataset, tmp_path: Path) -> None:
+    export_lerobot(source, tmp_path / "all", version="2.1")
+    push(tmp_path / "all", "me/wave")
+    hub.repos["me/wave"] |= {"README.md": b"A card of my own.", "notes/data.txt": b"words"}
+    export_lerobot(source, tmp_path / "one", ExportOptions(episodes=("a",), cameras=("side",)), version="2.1")
+    push(tmp_path / "one", "me/wave")
+    files = {str(path.relative_to(tmp_path / "one")) for path in (tmp_path / "one").rglob("*") if path.is_file()}
+    assert hub.repos["me/wave"].keys() == files | {"README.md", "notes/data.txt"}
+    assert hub.repos["me/wave"]["README.md"] == b"A card of my own."
+
+
+@pytest.mark.extras
+def test_a_folder_takes_one_dataset(hub: Hub, source: Dataset, tmp_path: Path) -> None:
+    export_lerobot(source, tmp_path / "export")
+    push(tmp_path / "export", "me/wave")
+    push(tmp_path / "export", "me/other")
+    pull("me/wave", tmp_path / "pulled")
+    with pytest.raises(DatasetError, match="of me/wave; choose another folder for me/other"):
+        pull("me/other", tmp_path / "pulled")
+    with pytest.raises(DatasetError, match="choose another folder"):
+        pull("me/wave", tmp_path / "export")
 
 
 @pytest.mark.extras

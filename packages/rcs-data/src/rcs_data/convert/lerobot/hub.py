@@ -7,17 +7,19 @@ HF_HOME.
 from __future__ import annotations
 
 import glob
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rcs_data.convert.lerobot.import_ import is_lerobot
+from rcs_data.convert.lerobot.layout import RCS_FILE
 from rcs_data.convert.lerobot.mapping import feature_mapping
 from rcs_data.convert.lerobot.source import LeRobotSource
 from rcs_data.convert.options import ImportOptions, selected_numbers
 from rcs_data.errors import DatasetError, InvalidSetup, RcsError, package_of
+from rcs_data.files.json_file import read_json
 
 # LeRobot looks for datasets of this tag; the Hub's viewer needs the paths.
 _CARD = """---
@@ -28,8 +30,12 @@ configs:
   data_files: data/*/*.parquet
 ---
 
-A LeRobotDataset {version}: {episodes} episodes, {frames} frames, {fps:g} frames per second, robot {robot}.
+A LeRobotDataset of the robot {robot}; `meta/info.json` has its version, its rate, and how many episodes there are.
 """
+# The folders that make up a LeRobot dataset; what else a repository has is its owner's.
+_OURS = ["data/*", "meta/*", "videos/*"]
+# Says whose files a pulled folder has; no push uploads it.
+_PULLED = Path(".cache", "rcs-repository")
 _load = partial(package_of, "huggingface_hub", "hub", "The Hub needs huggingface_hub")
 
 
@@ -53,8 +59,10 @@ def pull(
 
     Raises:
         MissingDependency: huggingface_hub is not installed.
-        DatasetError: The Hub refuses or cannot be reached, or the repository has no LeRobot dataset.
+        DatasetError: The Hub refuses or cannot be reached, the repository has no LeRobot dataset, or the folder has
+            another one.
         InvalidSetup: An episode or camera is unknown.
+        CorruptEpisode: The description of the dataset is damaged.
     """
     hub, root = _load(), Path(out)
 
@@ -64,6 +72,14 @@ def pull(
                 repo, repo_type="dataset", revision=revision, local_dir=str(root), allow_patterns=patterns
             )
 
+    kept = root / _PULLED
+    known = kept.read_text("utf-8") if kept.is_file() else "another source"
+    if known != repo and is_lerobot(root):
+        raise DatasetError(f"{root} has a LeRobot dataset of {known}; choose another folder for {repo}.")
+    if known != repo:
+        with _hub_errors(f"pull {repo}"):
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            kept.write_text(repo, "utf-8")
     download(["meta/*"])
     if not is_lerobot(root):
         raise DatasetError(f"{repo} has no meta/info.json, so it is not a LeRobot dataset.")
@@ -73,15 +89,17 @@ def pull(
     source = LeRobotSource(root)
     chosen = selected_numbers(episodes, source.lengths)
     options = ImportOptions(cameras=None if cameras is None else tuple(cameras))
-    names = [name for name in feature_mapping(source, None, options).cameras if source.is_video(name)]
-    wanted = [str(path) for path in source.files(chosen)]
-    wanted += [str(source.video(name, index).path.relative_to(root)) for name in names for index in chosen]
-    download([*map(glob.escape, dict.fromkeys(wanted)), "README.md"])
+    ours = read_json(root / RCS_FILE) if (root / RCS_FILE).is_file() else None
+    wanted = _files(source, feature_mapping(source, ours, options).cameras, chosen)
+    download([*(glob.escape(str(path)) for path in wanted), "README.md"])
     return root
 
 
 def push(path: str | Path, repo: str, *, private: bool = False) -> str:
-    """Upload a LeRobot dataset, such as an export, and return its address; files that are there already are skipped.
+    """Upload a LeRobot dataset, such as an export, and return its address.
+
+    Files that are there already are skipped, and those of a former dataset are removed. A `README.md` that the
+    repository has stays, unless the folder has one.
 
     Args:
         path: Its folder.
@@ -90,7 +108,7 @@ def push(path: str | Path, repo: str, *, private: bool = False) -> str:
 
     Raises:
         MissingDependency: huggingface_hub is not installed.
-        InvalidSetup: The folder is not a LeRobot dataset.
+        InvalidSetup: The folder is not a LeRobot dataset, or lacks a part of it.
         DatasetError: The Hub refuses or cannot be reached.
         CorruptEpisode: The description of the dataset is damaged.
     """
@@ -101,6 +119,12 @@ def push(path: str | Path, repo: str, *, private: bool = False) -> str:
             f"`rcs-data export DATASET --format lerobot-v3 --out EXPORT`."
         )
     source = LeRobotSource(root)
+    missing = [path for path in _files(source, source.features, [*source.lengths]) if not (root / path).is_file()]
+    if missing:
+        raise InvalidSetup(
+            f"{root} lacks {len(missing)} of its files, such as {missing[0]}, and the Hub would lose them; pull or "
+            "export the whole dataset first."
+        )
     where: dict[str, Any] = {"repo_id": repo, "repo_type": "dataset"}
     with _hub_errors(f"push to {repo}"):
         api = hub.HfApi()
@@ -109,22 +133,24 @@ def push(path: str | Path, repo: str, *, private: bool = False) -> str:
             **where,
             folder_path=str(root),
             ignore_patterns=[".cache/*"],
+            delete_patterns=_OURS,
             commit_message=f"LeRobotDataset {source.version}, {len(source.lengths)} episodes",
         )
-        if not (root / "README.md").is_file():
-            card = _CARD.format(
-                version=source.version,
-                episodes=len(source.lengths),
-                frames=source.frames,
-                fps=source.fps,
-                robot=source.info.get("robot_type") or "unknown",
-            )
+        if not api.file_exists(repo, "README.md", repo_type="dataset"):
+            card = _CARD.format(robot=source.info.get("robot_type") or "unknown")
             api.upload_file(**where, path_or_fileobj=card.encode(), path_in_repo="README.md")
         # LeRobot reads the revision with the tag of its version, so the tag must move.
         if any(tag.name == source.version for tag in api.list_repo_refs(**where).tags):
             api.delete_tag(**where, tag=source.version)
         api.create_tag(**where, tag=source.version)
     return address
+
+
+def _files(source: LeRobotSource, columns: Iterable[str], episodes: Sequence[int]) -> list[Path]:
+    """Return the files with the rows of some episodes, and the videos of some columns, relative to the folder."""
+    names = [name for name in columns if source.is_video(name)]
+    videos = [source.video(name, index).path.relative_to(source.root) for name in names for index in episodes]
+    return [*dict.fromkeys([*source.files(episodes), *videos])]
 
 
 @contextmanager

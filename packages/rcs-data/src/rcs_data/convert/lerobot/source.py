@@ -51,7 +51,6 @@ class _Info(TypedDict):
 
     fps: Annotated[float, Meta(gt=0)]
     features: dict[str, _Described]
-    total_frames: NotRequired[Annotated[int, Meta(ge=0)]]
     chunks_size: NotRequired[Annotated[int, Meta(ge=1)]]
 
 
@@ -170,7 +169,7 @@ class LeRobotSource:
         try:
             check_fields(self.info, _Info)
             self.fps, self.features = float(self.info["fps"]), self.info["features"]
-            self.frames, self._chunks_size = self.info.get("total_frames", 0), self.info.get("chunks_size", 1000)
+            self._chunks_size = self.info.get("chunks_size", 1000)
             self._about = {row["episode_index"]: row for row in self._read_episodes()}
             check_fields([*self._about.values()], list[_Row])
             self.tasks = self._read_tasks()
