@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -95,7 +96,7 @@ class PullCommand:
         pull(self.repo, self.out, revision=self.revision, episodes=self.episodes, cameras=_cameras(self.cameras))
         more = _options(episodes=self.episodes, cameras=self.cameras)
         plain_console().print(
-            f"{self.repo}: {self.out}\nImport it with: rcs-data import {self.out} --out DATASET{more}"
+            f"{self.repo}: {self.out}\nImport it with: rcs-data import {shlex.quote(str(self.out))} --out DATASET{more}"
         )
         return 0
 
@@ -149,7 +150,9 @@ class RecipeCommand:
         console.print("Then, with words in capitals filled in:")
         chosen = _options(state=self.state, action=self.action, cameras=self.cameras)
         for step in made.steps:
-            line = step.replace("FOLDER", str(self.out)).replace("DATASET", str(self.path))
+            # Absolute, since some change the folder first.
+            folder, dataset = (shlex.quote(str(path.absolute())) for path in (self.out, self.path))
+            line = step.replace("FOLDER", folder).replace("DATASET", dataset)
             console.print(f"  {line}{chosen if line.startswith('rcs-data export') else ''}")
         return 0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
@@ -183,10 +184,14 @@ def test_octo_without_a_wrist_camera_drops_what_looks_at_it(make: Make) -> None:
 
 
 def test_the_command_writes_the_files_and_says_how_to_go_on(
-    make: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert RecipeCommand(family="octo", path=make(), out=tmp_path / "out", cameras=("side",)).run() == 0
+    monkeypatch.chdir(tmp_path)
+    path, out = make(), tmp_path / "what it needs"
+    assert RecipeCommand(family="octo", path=path, out=Path(out.name), cameras=("side",)).run() == 0
     printed = capsys.readouterr().out
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"octo_config.py", "vlagents.json"}
+    assert {path.name for path in out.iterdir()} == {"octo_config.py", "vlagents.json"}
+    assert f"rcs-data export {shlex.quote(str(path))} " in printed
+    assert f"--config {shlex.quote(str(out))}/octo_config.py" in printed
     assert "--cameras side" in printed
     assert "vlagents serve octo" in printed
