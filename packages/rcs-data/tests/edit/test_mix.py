@@ -121,6 +121,17 @@ def test_relative_and_absolute_actions_do_not_mix(tmp_path: Path, make_dataset: 
         mix([Part(path=sim), Part(path=other)], tmp_path / "mix")
 
 
+def test_actions_of_which_nothing_is_said_count_as_absolute(
+    tmp_path: Path, make_dataset: MakeDataset, sim: Path
+) -> None:
+    silent = make_dataset(tmp_path / "silent", [4], setup={"robot": "fr3"})
+    absolute = make_dataset(tmp_path / "absolute", [4], setup={"robot": "fr3", "relative": "absolute"})
+    for paths in ((sim, silent), (silent, sim)):
+        with pytest.raises(DatasetError, match=r"setup\.relative: actions are .*'last_step' in sim"):
+            mix([Part(path=path) for path in paths], tmp_path / "mix")
+    assert len(mix([Part(path=silent), Part(path=absolute)], tmp_path / "mix")) == 2
+
+
 def test_what_only_some_have_can_be_left_out(tmp_path: Path, real: Path, sim: Path) -> None:
     edit.rename_camera(real, "wrist", "front")
     mixed = mix([Part(path=real), Part(path=sim)], tmp_path / "common", mapping=Harmonise(common=True))
@@ -185,7 +196,7 @@ def test_a_word_that_is_no_part_is_refused() -> None:
 def test_a_total_is_a_number_of_episodes(tmp_path: Path, real: Path, total: int) -> None:
     with pytest.raises(InvalidSetup, match=f"total is {total}; valid is a whole number from 1"):
         edit.mix([Part(path=real, share=1.0)], tmp_path / "out", total=total)
-    with pytest.raises(InvalidSetup, match=r"share of .* is inf; valid is a finite number above 0"):
+    with pytest.raises(InvalidSetup, match=r"share is inf; valid: a finite number above 0"):
         Part(path=real, share=float("inf"))
     with pytest.raises(InvalidSetup, match="The seed is -1"):
         edit.mix([Part(path=real)], tmp_path / "out", seed=-1)
@@ -200,8 +211,21 @@ def test_numbers_of_numpy_are_numbers(tmp_path: Path, real: Path) -> None:
 def test_numbers_of_episodes_are_whole(tmp_path: Path, real: Path) -> None:
     with pytest.raises(InvalidSetup, match=r"total is 2.5; valid is a whole number from 1"):
         mix([Part(path=real, share=1.0)], tmp_path / "out", total=2.5)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InvalidSetup, match=r"real is 1.5; valid is a whole number from 0"):
+    with pytest.raises(InvalidSetup, match=r"episodes is 1\.5; valid: a whole number from 0"):
         Part(path=real, episodes=1.5)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"frequency": "5"}, "frequency is '5'; valid: a finite number above 0"),
+        ({"drop": "observation/x"}, r"Give a sequence, such as \('observation/x',\)"),
+        ({"size": (12,)}, "size is .*; valid: a sequence of 2"),
+    ],
+)
+def test_a_mapping_that_makes_no_sense_is_refused(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidSetup, match=message):
+        Harmonise(**given)
 
 
 def test_large_shares_are_shares(tmp_path: Path, real: Path, sim: Path) -> None:

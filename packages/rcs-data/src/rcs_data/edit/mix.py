@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,32 +18,37 @@ from rcs_data.edit.transaction import making
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.files.info import MERGED, DatasetInfo, feature_differences, shared_setup
 from rcs_data.files.output import OnProgress
-from rcs_data.options import require_number, require_whole
+from rcs_data.options import Natural, Positive, Record, Whole, converted, require_whole
 from rcs_data.read.reader import Dataset, EpisodeRecord
 
 
-@dataclass(frozen=True, kw_only=True)
-class Part:
-    """The part that a mix takes from one dataset."""
+class Part(Record):
+    """The part that a mix takes from one dataset.
 
-    path: Path
-    episodes: int | None = None
+    Raises:
+        InvalidSetup: A field does not make sense, or both a number and a share are given.
+    """
+
+    path: Path = converted(converter=Path)
+    """Folder of the dataset."""
+    episodes: Natural | None = None
     """Number of episodes, drawn by the seed; None for all, or for the share."""
-    share: float | None = None
+    share: Positive | None = None
     """Weight relative to the other parts; requires a total."""
 
     def __post_init__(self) -> None:
+        """Check every field."""
+        super().__post_init__()
         if self.episodes is not None and self.share is not None:
             raise InvalidSetup(f"{self.path}: give a number of episodes or a share, not both.")
-        if self.episodes is not None:  # as a number of Python, since the origin of the mix names it
-            object.__setattr__(self, "episodes", require_whole(f"The number of episodes of {self.path}", self.episodes))
-        if self.share is not None and not 0 < require_number(f"The share of {self.path}", self.share) < math.inf:
-            raise InvalidSetup(f"The share of {self.path} is {self.share:g}; valid is a finite number above 0.")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Harmonise:
-    """How to harmonise the features of different datasets; by default they must be the same."""
+class Harmonise(Record):
+    """How to harmonise the features of different datasets; by default they must be the same.
+
+    Raises:
+        InvalidSetup: A field does not make sense.
+    """
 
     common: bool = False
     """Whether to leave out features that are not in every dataset instead of refusing."""
@@ -52,9 +56,9 @@ class Harmonise:
     """Features to leave out: their keys, or prefixes of keys, such as "observation/frames/side"."""
     rename: Mapping[str, Mapping[str, str]] = field(default_factory=dict[str, Mapping[str, str]])
     """New names of cameras, by dataset: {"real": {"front": "side"}}."""
-    size: tuple[int, int] | None = None
+    size: tuple[Whole, Whole] | None = None
     """Width and height of all frames [px]; None to keep them."""
-    frequency: float | None = None
+    frequency: Positive | None = None
     """Control rate of all episodes [Hz]; None to keep it."""
 
 

@@ -29,8 +29,8 @@ MERGED = "merged"
 
 # Numbers in a simulation state; hundreds of robots have some ten thousand.
 _LARGEST_STATE = 1 << 20
-MEANING_OF_ACTIONS = ("control", "relative")
-"""Keys of a setup, without which nobody knows what the numbers of an action are."""
+MEANING_OF_ACTIONS: Mapping[str, str | None] = {"control": None, "relative": "absolute"}
+"""Keys of a setup, without which nobody knows what the numbers of an action are; and what counts if one is absent."""
 
 Subsampling = Literal["444", "422", "420"]
 Quality = Annotated[int, Meta(ge=1, le=100)]
@@ -200,7 +200,7 @@ def feature_differences(
 ) -> list[str]:
     """Describe how the rows of two infos differ: features and their order, rate, state, and meaning of actions.
 
-    Other differences of setup and instruction are ignored.
+    Other differences of setup and instruction are ignored. Actions of which nothing is said count as absolute.
 
     Args:
         stored: One info.
@@ -216,8 +216,8 @@ def feature_differences(
         jpeg_subsampling=stored.jpeg_subsampling,
     )
     lines = differences(stored, alike, names=names)
-    for key in MEANING_OF_ACTIONS:
-        one, other = stored.setup.get(key), given.setup.get(key)
+    for key, unsaid in MEANING_OF_ACTIONS.items():
+        one, other = (info.setup.get(key) or unsaid for info in (stored, given))
         if one is not None and other is not None and one != other:
             lines.append(f"setup.{key}: actions are {one!r} in {names[0]} and {other!r} in {names[1]}")
     return lines
