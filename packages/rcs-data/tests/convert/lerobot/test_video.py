@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from av.error import InvalidDataError
 from numpy.typing import NDArray
 from rcs_data.convert.lerobot.video import (
     VideoJoiner,
@@ -96,6 +98,22 @@ def test_frames_are_found_by_their_time_in_any_order(tmp_path: Path) -> None:
         )
     reader.close()
     reader.close()
+
+
+def test_after_a_frame_that_cannot_be_decoded_later_ones_are_read(tmp_path: Path) -> None:
+    given = pictures(20)
+    encode_video(tmp_path / "v.mp4", given, given[0].shape, FPS, "h264")
+    straight = list(VideoReader(tmp_path / "v.mp4").frames(0.0, 20, FPS))
+    reader = VideoReader(tmp_path / "v.mp4")
+
+    def failing(frames: Iterator[Any]) -> Iterator[Any]:
+        yield from islice(frames, 3)
+        raise InvalidDataError(0, "not a frame")
+
+    reader._frames = failing(reader._frames)
+    with pytest.raises(CorruptEpisode, match="Cannot decode"):
+        list(reader.frames(0.0, 10, FPS))
+    np.testing.assert_array_equal(list(reader.frames(10 / FPS, 5, FPS)), straight[10:15])
 
 
 def test_a_time_without_a_frame_is_told(tmp_path: Path) -> None:

@@ -234,6 +234,7 @@ class VideoReader:
         self._source.close()
 
     def _step(self) -> None:
+        self._next = None  # after an error the decoder yields no more, so the next frame is sought
         try:
             self._next = next(self._frames, None)
         except FFmpegError as err:
