@@ -50,8 +50,9 @@ def test_an_export_of_ours_comes_back_with_its_names_and_its_jpegs(dataset: Path
     assert check(tmp_path / "back").is_ok
 
 
-def test_an_export_without_reward_and_with_a_state_of_its_own_comes_back(tmp_path: Path) -> None:
-    keys = ("observation/state", "action/gripper", "action/joints")
+@pytest.mark.parametrize("more", [(), ("observation/environment_state",)])
+def test_an_export_without_reward_and_with_a_state_of_its_own_comes_back(tmp_path: Path, more: tuple[str, ...]) -> None:
+    keys = ("observation/state", *more, "action/gripper", "action/joints")
     features = tuple(Feature(key=key, shape=(2,), dtype="float32") for key in keys)
     info = DatasetInfo(frequency=10, features=features, setup={"a": 1}, instruction="pick")
     with DatasetWriter.open(tmp_path / "in", info) as writer, writer.episode("a", seed=None) as episode:
@@ -63,9 +64,9 @@ def test_an_export_without_reward_and_with_a_state_of_its_own_comes_back(tmp_pat
     export_rlds(source, tmp_path / "out")
     back = import_rlds(tmp_path / "out", tmp_path / "back")
     assert back.info == source.info
-    for key in keys[1:]:
-        np.testing.assert_array_equal(back["a"].column(key)[1:], source["a"].column(key)[1:])
-    np.testing.assert_array_equal(back["a"].column(keys[0])[:-1], source["a"].column(keys[0])[:-1])
+    for key in keys:
+        rows = slice(None, -1) if key.startswith("obs") else slice(1, None)
+        np.testing.assert_array_equal(back["a"].column(key)[rows], source["a"].column(key)[rows])
 
 
 def test_a_dataset_of_others_becomes_one_of_ours(tmp_path: Path) -> None:

@@ -4,7 +4,8 @@
 `tfds.builder_from_directory` or, with `data_dir=<out>`, `tfds.builder(<name>)` opens it. A step has
 
 - `observation`: `state` (float32), every part of the observation under its own name (`joints`, `left_gripper`),
-  `image_<camera>`, `depth_<camera>` [mm], `intrinsics_<camera>`, `extrinsics_<camera>`;
+  `image_<camera>`, `depth_<camera>` [mm], `intrinsics_<camera>`, `extrinsics_<camera>`; `recorded_state` is a part
+  that is named `state` itself, where it is not all of it;
 - `action` (float32), `reward` (float32), `discount` (0 where the step ended the task, else 1), `is_first`, `is_last`,
   `is_terminal`, `language_instruction`.
 
@@ -49,6 +50,7 @@ from rcs_data.read.trajectory import Trajectory, VectorLayout, action_layout, st
 VERSION = "1.0.0"
 SPLIT = "train"
 RCS_FILE = "rcs.json"
+_STATE = "observation/state"
 
 
 @dataclass(frozen=True)
@@ -125,8 +127,8 @@ def _columns(
     dataset: Dataset, info: DatasetInfo, state: VectorLayout, action: VectorLayout, options: ExportOptions
 ) -> dict[str, _Column]:
     seen, own = observed(info), None
-    if [feature.key for feature in state.features] == ["observation/state"]:
-        own = "observation/state"
+    if [feature.key for feature in state.features] == [_STATE]:
+        own = _STATE
         seen = tuple(feature for feature in seen if feature.key != own)  # already the state
     extra = [info.feature(key) for key in options.extra]
     images = [feature.key for feature in extra if feature.is_image]
@@ -134,12 +136,10 @@ def _columns(
         raise InvalidSetup(
             f"{', '.join(images)} cannot be extra features, which must be numbers; choose cameras instead."
         )
-    observations = named(seen, lambda f: short_name(f, "{kind}_{camera}"), taken=("state",))
+    observations = named(seen, lambda f: "recorded_state" if f.key == _STATE else short_name(f, "{kind}_{camera}"))
     reward = "reward" if any(feature.key == "reward" for feature in info.features) else None
     columns = {
-        "observation/state": _Column(
-            tensor((state.size,), "float32"), lambda s: s.steps.states.astype(np.float32), own
-        ),
+        _STATE: _Column(tensor((state.size,), "float32"), lambda s: s.steps.states.astype(np.float32), own),
         **{f"observation/{name}": _feature_column(feature) for name, feature in observations.items()},
     }
     usual = {
