@@ -5,7 +5,7 @@
  3  SIGTERM, Ctrl-C                            cli/test_cli
  4  full disk                                  test_episode_writer, test_background, edit/test_full_disk
  5  failing or read-only disk                  test_episode_writer
- 6  torn tail, flipped bit                     test_stream, check/test_any_byte, check/test_bitrot
+ 6  torn tail, flipped bit                     test_stream, check/test_any_byte, check/test_bytes
  7  two recorders, lock of a dead one          test_lock, test_writer
  8  the wall clock jumps                       test_timing, check/test_times
  9  camera slower than the loop                envs/observers/test_recorder

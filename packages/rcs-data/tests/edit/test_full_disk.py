@@ -5,10 +5,12 @@ from __future__ import annotations
 import errno
 import itertools
 import math
+import mmap
 import os
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,17 +73,44 @@ def test_an_edit_that_a_full_disk_stops_at_any_write_has_changed_nothing(
             return
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EDITS)
+def test_an_edit_on_a_disk_that_is_full_but_for_some_pages_is_done_or_has_changed_nothing(
+    tmp_path: Path, make_dataset: MakeDataset, name: str
+) -> None:
+    source = make_dataset(tmp_path / "source", [7, 3])
+    edit.trim(source, "000000", first=1)
+    before = state(source)
+    with mounted(tmp_path / "disk"):
+        for pages in itertools.count():
+            disk = tmp_path / "disk" / str(pages)
+            path, filler = shutil.copytree(source, disk / "set"), tmp_path / "disk/filler"
+            fill(filler, pages * mmap.PAGESIZE)
+            error = ""
+            try:
+                EDITS[name](path)
+            except DatasetError as err:
+                error = str(err)
+            if error:
+                assert "No space left" in error
+                assert [*disk.iterdir()] == [path]
+                assert state(path) == before
+            edit.prune(path)
+            assert all(check(made).is_ok for made in disk.iterdir()), f"{pages} pages were left"
+            if not error:
+                return
+            filler.unlink()
+            shutil.rmtree(disk)
+
+
 @pytest.fixture(params=["simulated", "mounted"])
 def full_disk(
     tmp_path: Path, make_dataset: MakeDataset, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> Iterator[Path]:
     """A dataset on a disk without a free byte, with a former episode, and an open one that a recording has left."""
     disk = tmp_path / "disk"
-    disk.mkdir()
     is_mounted = request.param == "mounted"
-    if is_mounted and subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", disk], check=False).returncode:
-        pytest.skip("this user cannot mount a small disk")
-    try:
+    with mounted(disk) if is_mounted else nullcontext():
         path = make_dataset(disk / "set", [60, 30, 20])
         edit.trim(path, "000000", first=1)
         leave_open(path)
@@ -90,9 +119,18 @@ def full_disk(
         else:
             simulate(disk, monkeypatch)
         yield path
+
+
+@contextmanager
+def mounted(disk: Path) -> Iterator[None]:
+    """Mount a disk of 4 MiB at a new folder."""
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", disk], check=False).returncode:
+        pytest.skip("this user cannot mount a small disk")
+    try:
+        yield
     finally:
-        if is_mounted:
-            subprocess.run(["umount", disk], check=True)
+        subprocess.run(["umount", disk], check=True)
 
 
 def leave_open(path: Path) -> None:
@@ -103,8 +141,8 @@ def leave_open(path: Path) -> None:
         writer.episode("open", seed=0).add(row, np.zeros(3))
 
 
-def fill(path: Path) -> None:
-    """Write a file until the disk takes no more byte."""
+def fill(path: Path, left: int = 0) -> None:
+    """Write a file until the disk takes no more byte, and give some back."""
     fd = os.open(path, os.O_WRONLY | os.O_CREAT)
     size = 1 << 20
     while size:
@@ -112,6 +150,7 @@ def fill(path: Path) -> None:
             os.write(fd, bytes(size))
         except OSError:
             size //= 2
+    os.ftruncate(fd, os.fstat(fd).st_size - left)
     os.close(fd)
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
+import tarfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetWriter, check, edit, recover
 from rcs_data.check.repair import repair
@@ -15,6 +17,9 @@ from rcs_data.files.durable import sealed, unsealed
 from rcs_data.files.layout import check_name, is_name, name_of
 from rcs_data.index.history import locked
 from rcs_data.view import write_view
+
+if TYPE_CHECKING:
+    from conftest import MakeInfo, MakeRows, Record
 
 BAD = ["", ".", "..", "../x", "a/b", "a\\b", ".hidden", "\n", "\udcff", "ä" * 101, None, 3]
 
@@ -138,6 +143,31 @@ def test_a_copy_by_hard_links_stays_as_it_was(dataset: Path, tmp_path: Path) -> 
     assert [episode.id for episode in Dataset.open(dataset)] == ["000000", "000002"]
     assert check(dataset).is_ok
     assert check(tmp_path / "snapshot").is_ok
+
+
+def test_a_dataset_that_is_being_recorded_goes_on_elsewhere(
+    tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows, record: Record
+) -> None:
+    path, moved = tmp_path / "here", tmp_path / "there/here"
+    with DatasetWriter.open(path, make_info(images=True)) as writer:
+        record(writer, "000000")
+        with writer.episode("000001", seed=1) as episode:
+            for row in make_rows(20, images=True):
+                episode.add(row, np.zeros(writer.info.sim_state_size or 0))
+            with tarfile.open(tmp_path / "set.tar", "w") as archive:
+                archive.add(path, path.name)
+    shutil.rmtree(path)
+    with tarfile.open(tmp_path / "set.tar") as archive:
+        archive.extractall(moved.parent, filter="data")
+    with DatasetWriter.open(moved, make_info(images=True), resume=True) as writer:
+        assert writer.recovered.recovered == ("000001",)
+        record(writer, "000002", seed=2)
+    digest = Dataset.open(moved).digest()
+    edit.delete(moved, ["000000"])
+    assert [episode.id for episode in Dataset.open(moved)] == ["000001", "000002"]
+    edit.undo(moved)
+    assert Dataset.open(moved).digest() == digest
+    assert check(moved).is_ok
 
 
 def test_a_merge_of_files_that_are_links_has_their_bytes(dataset: Path, tmp_path: Path) -> None:

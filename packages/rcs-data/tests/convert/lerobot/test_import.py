@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, check, edit
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, JointBounds, check, edit
 from rcs_data.convert.formats import IMPORTS, export_format, import_format
 from rcs_data.convert.lerobot import source as lerobot_source
 from rcs_data.convert.lerobot.export import export_lerobot
@@ -85,19 +85,25 @@ def test_other_forms_of_the_action_and_flags_stay_with_their_rows(tmp_path: Path
 @pytest.mark.parametrize("name", ["lerobot-v3", "lerobot-v2.1", "gr00t", "rlds", "robomimic"])
 def test_a_simulation_that_computes_unevenly_has_no_gap_after_a_round_trip(tmp_path: Path, name: str) -> None:
     keys = ("time/monotonic", "simulated_time")
+    limits = JointBounds(arm="an arm of tests", names=("a", "b"), lower=(-1, -1), upper=(1, 1), velocity=(2, 2))
     features = [Feature(key=key, shape=(), dtype="float64", unit="s") for key in keys]
-    features += [Feature(key=f"{part}/joints", shape=(2,), dtype="float32") for part in ("observation", "action")]
+    features.append(Feature(key="observation/joints", shape=(2,), dtype="float32", limits=limits))
+    features.append(Feature(key="observation/frames/side/rgb", shape=(32, 48, 3), dtype="uint8", encoding="jpeg"))
+    features.append(Feature(key="action/joints", shape=(2,), dtype="float32"))
     info = DatasetInfo(frequency=30.0, features=tuple(features), setup={}, instruction="wave")
     with DatasetWriter.open(tmp_path / "source", info) as writer, writer.episode("take", seed=None) as episode:
         for i in range(20):
             values = {"observation/joints": np.full(2, i / 50, "f4"), "time/monotonic": i / 40 + i // 10}
             values |= {"action/joints": np.full(2, i / 50, "f4")} if i else {}
+            values |= {"observation/frames/side/rgb": np.full((32, 48, 3), 40 + 8 * i, np.uint8)}
             episode.add({**values, "simulated_time": i / 30})
         episode.finish(True)
     assert not check(tmp_path / "source").findings
     export_format(name)(Dataset.open(tmp_path / "source"), tmp_path / "out", ExportOptions())
     back = import_format("auto", tmp_path / "out")(tmp_path / "out", tmp_path / "back", ImportOptions())
     assert not check(tmp_path / "back").findings, str(check(tmp_path / "back"))
+    if name != "robomimic":  # which has no limits of joints
+        assert back.info.feature("observation/joints").limits == limits
     if name not in ("rlds", "robomimic"):  # which have no times
         times = back.episodes[0].column("simulated_time")
         np.testing.assert_array_equal(times[:-1], np.arange(19) / 30)
