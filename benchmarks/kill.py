@@ -5,7 +5,7 @@ A fifth of the trials each kills
 - a collection in one process that notes, in memory shared with this program, how many rows it has recorded: there the
   loss is exact;
 - the whole process tree of `rcs collect` with two workers;
-- a program that deletes, trims, merges, undoes and prunes without end;
+- a program that deletes, keeps, trims, relabels, resamples, with --cameras resizes, merges, undoes and prunes;
 - a program that exports to LeRobot's format and imports that without end;
 - a program that pulls such an export without end, from a stand-in of the Hub on this machine (needs huggingface_hub).
 
@@ -43,6 +43,7 @@ import tyro
 from rcs_data import Dataset, check, convert, edit, recover
 from rcs_data.check.repair import repair
 from rcs_data.convert.lerobot.hub import pull
+from rcs_data.edit.rate import kept_rows
 from rich.console import Console
 from rich.progress import track
 
@@ -59,7 +60,7 @@ PATIENCE = 600.0
 COUNTER = struct.Struct("<qq")
 """Number of the episode that is open and rows recorded of it."""
 REPO = "me/set"
-KINDS = ("record", "workers", "edit", "convert", *(["pull"] if importlib.util.find_spec("huggingface_hub") else []))
+KINDS = ("record", "workers", "edit", "convert", "pull")
 
 
 @dataclass(kw_only=True)
@@ -142,16 +143,23 @@ def collect_and_count(folder: Path, setup: Setup) -> None:
 
 
 def edit_without_end(folder: Path) -> None:
-    """Delete, undo, trim, undo, prune, merge, and so on, until killed."""
-    ids = [episode.id for episode in Dataset.open(folder).episodes]
+    """Edit in random order, each time undo, then prune, merge, and so on, until killed."""
+    dataset, merged = Dataset.open(folder), folder.with_suffix(".merged")
+    ids = [episode.id for episode in dataset.episodes]
+    edits: list[Callable[[], object]] = [
+        lambda: edit.delete(folder, ids[:2]),
+        lambda: edit.keep(folder, ids[2:]),
+        lambda: edit.trim(folder, ids[0], first=3, last=20),
+        lambda: edit.relabel(folder, "push"),
+        lambda: edit.resample(folder, FPS / 2),
+        *([lambda: edit.resize(folder, (32, 32))] if dataset.info.has_images else []),
+    ]
     folder.with_suffix(".ready").touch()
     while True:
-        edit.delete(folder, ids[:2])
-        edit.undo(folder)
-        edit.trim(folder, ids[0], first=3, last=20)
-        edit.undo(folder)
+        for change in random.sample(edits, len(edits)):
+            change()
+            edit.undo(folder)
         edit.prune(folder)
-        merged = folder.with_suffix(".merged")
         shutil.rmtree(merged, ignore_errors=True)
         edit.merge([folder, folder], merged)
 
@@ -172,7 +180,7 @@ def pull_without_end(folder: Path) -> None:
     while True:
         pull(REPO, folder)
         folder.with_suffix(".ready").touch()
-        shutil.rmtree(folder)
+        shutil.rmtree(folder.rename(folder.with_suffix(".gone")))
 
 
 def main(options: Options) -> None:
@@ -181,15 +189,13 @@ def main(options: Options) -> None:
     if options.child:
         collect_and_count(Path(options.child), setup)
         return
-    if options.editor:
-        edit_without_end(Path(options.editor))
-        return
-    if options.converter:
-        convert_without_end(Path(options.converter))
-        return
-    if options.puller:
-        pull_without_end(Path(options.puller))
-        return
+    works = {edit_without_end: options.editor, convert_without_end: options.converter, pull_without_end: options.puller}
+    for work, folder in works.items():
+        if folder:
+            work(Path(folder))
+            return
+    if importlib.util.find_spec("huggingface_hub") is None:
+        raise SystemExit("The kills of pulls need huggingface_hub: pip install 'rcs-data[hub]'.")
     totals = Totals()
     try:
         kill_in_turns(options, setup, totals)
@@ -203,7 +209,7 @@ def kill_in_turns(options: Options, setup: Setup, totals: Totals) -> None:
     with tempfile.TemporaryDirectory(prefix="rcs-kill-") as root:
         source = Path(root) / "source"
         list(collect(Collection(setup=setup, out=source, episodes=4), Progress()))
-        pushed = serve_export(source) if "pull" in KINDS else {}
+        pushed = serve_export(source)
         for trial in track(range(options.trials), "Killing", console=Console(stderr=True)):
             folder = Path(root) / f"trial {trial}"
             kind = KINDS[trial % len(KINDS)]
@@ -370,7 +376,9 @@ def kill_edits(folder: Path, source: Path, rng: random.Random, totals: Totals) -
     after = Dataset.open(folder)
     found = [(episode.id, episode.length) for episode in after.episodes]
     whole = [(episode.id, episode.length) for episode in recorded.episodes]
-    is_edit = found in (whole, whole[2:], [(ids[0], 18), *whole[1:]])
+    resampled = [(name, len(kept_rows(length, 2))) for name, length in whole]
+    is_edit = found in (whole, whole[2:], [(ids[0], 18), *whole[1:]], resampled)
+    is_edit &= len({episode.instruction for episode in after}) == 1
     damaged = {finding.episode for finding in check(folder).damage}
     merged = folder.with_suffix(".merged")
     if (merged / "dataset.json").exists():
