@@ -134,6 +134,15 @@ def test_an_episode_after_a_fault_waits_until_its_objects_are_in_their_places() 
     assert ["Then press Enter" in question for question, _ in script.asked] == [True, False, True, True]
 
 
+def test_only_an_empty_line_begins_an_episode_that_no_answer_has_begun() -> None:
+    script = Script("n", "u", "y 3", " ", "left")
+    with rcs.make("Free", hardware="fake") as env:
+        PersonJudge(script).announce(env, 0, None)
+    assert script.lines == ["left"]
+    assert ["begins nothing" in question for question, _ in script.asked] == [False, True, True, True]
+    assert all("press Enter, or Go on" in question for question, _ in script.asked)
+
+
 @pytest.mark.parametrize(("hardware", "asked"), [("fake", 1), (None, 0)])
 def test_without_objects_real_arms_wait_for_somebody_and_simulated_ones_do_not(hardware: Any, asked: int) -> None:
     script = Script("")

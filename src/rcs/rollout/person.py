@@ -85,7 +85,8 @@ class PersonJudge:
     def announce(self, env: Env | None, seed: int, coming: int | None) -> None:
         """Get ready for an episode; one that no answer has begun waits until its objects are in their places.
 
-        With real devices it waits where there are no objects, too, because it moves them.
+        With real devices it waits where there are no objects, too, because it moves them. Only an empty line begins it:
+        whoever judges the episode before, which nobody is asked about after a fault, may have the hands at the robot.
 
         Args:
             env: The environment, whose pictures show where the objects go; None to wait for nobody.
@@ -101,7 +102,9 @@ class PersonJudge:
             if places or is_real:
                 observation, _ = env.reset(seed=seed)  # connects devices; nothing moves
                 wanted = f"Put {places}. Then press" if places else "The next episode begins when you press"
-                self._ask(f"{wanted} Enter, or Go on", observation, seed)
+                notice = ""
+                while line := self._ask(f"{notice}{wanted} Enter, or Go on", observation, seed).strip():
+                    notice = f"{line!r} begins nothing, and there is no episode to judge. "
         self._prepared, self._coming = None, coming
 
     def __call__(self, observation: Observation, info: Mapping[str, Any]) -> Answer:
