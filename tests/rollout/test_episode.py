@@ -72,6 +72,23 @@ def test_a_judge_has_the_last_word_and_its_first_tag_is_the_class_of_a_failure()
         assert (result.stages, result.tags, result.words) == (answer.stages, answer.tags, answer.words)
 
 
+class Lost(Wait):
+    """Knows why it fails."""
+
+    failure = "policy"
+
+
+@pytest.mark.parametrize("first", [Answer(success=False, tags=("slip",)), Answer(success=True), Answer(success=None)])
+def test_an_answer_that_is_taken_back_leaves_no_tag_and_the_class_is_that_of_the_episode(first: Answer) -> None:
+    env = rcs.make("PickCuboid", max_episode_steps=2)
+    for agent, failure in ((Lost(env), "policy"), (Wait(env), "timeout")):
+        result = run_episode(env, agent, seed=0, judge=lambda observation, info: first)
+        again = result.corrected(Answer(success=False))
+        assert (again.success, again.failure, again.tags) == (False, failure, ())
+        late = again.corrected(Answer(success=False, tags=("late",)))
+        assert (late.failure, late.corrected(Answer(success=True)).failure) == ("late", None)
+
+
 def test_stages_are_the_most_that_were_reached() -> None:
     env = rcs.make("PickCuboid")
     assert run_episode(env, PickExpert(env), seed=0).stages == 3

@@ -6,7 +6,7 @@ import contextlib
 import sys
 import termios
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -73,6 +73,8 @@ class EpisodeResult:
     """Tags of a judge."""
     words: str | None = None
     """A judge's words; None without any."""
+    own_failure: str | None = field(default=None, compare=False)
+    """Class that a failure has without a judge's tags, also where the task was done: another answer may follow."""
 
     def outcome(self) -> dict[str, Any]:
         """Return the outcome to store, besides success and seed, with the rest of an answer under a ledger's names."""
@@ -82,7 +84,7 @@ class EpisodeResult:
 
     def corrected(self, answer: Answer) -> EpisodeResult:
         """Return the result with another answer of the judge."""
-        failure = None if answer.success is not False else next(iter(answer.tags), None) or self.failure or TIMEOUT
+        failure = None if answer.success is not False else next(iter(answer.tags), self.own_failure or TIMEOUT)
         return replace(self, failure=failure, **vars(answer))
 
 
@@ -198,6 +200,7 @@ def run_episode(
         given = judge(step.observation, step.info)
         answer = given if isinstance(given, Answer) else Answer(success=given)
     success, failure = verdict(end, answer.success, step.was_touched, agent)
+    _, own_failure = verdict(end, False, step.was_touched, agent)
     message = agent.failure_message if has_ended else None
     if not is_simulated and end == FAULT:
         message = "; ".join(f"{name}: {reason}" for name, reason in step.info.get("faults", {}).items())
@@ -212,6 +215,7 @@ def run_episode(
         stages=answer.stages,
         tags=answer.tags,
         words=answer.words,
+        own_failure=own_failure,
     )
 
 
