@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pytest
 from rcs_data.ledger import Condition, Ledger
 
 import rcs
 from rcs.agents.identity import Identity
+from rcs.errors import RcsError
 from rcs.rollout import Evaluation, Outlines, PersonJudge, Summary
 from rcs.rollout.blind import LETTERS, _blinded, evaluate_blind
 from tests.rollout.staying import SETUP, Stay
@@ -46,6 +48,21 @@ def test_a_start_that_was_cut_off_between_the_two_letters_is_not_gone_on_with(tm
 
 class Remain(Stay):
     """Does the same under another name."""
+
+
+class Fickle(Stay):
+    """Has other weights from its first episode on."""
+
+    weights: str | None = None
+
+    def reset(self, observation: Any, info: Any) -> None:
+        self.weights = "new"
+
+
+def test_weights_that_change_do_not_tell_the_letter(tmp_path: Path) -> None:
+    one, other = (Evaluation(setup=SETUP, agent=agent, episodes=1, out=tmp_path) for agent in (Fickle, Remain))
+    with rcs.make(SETUP) as env, pytest.raises(RcsError, match=r"^The weights of a policy changed .* is left out"):
+        list(evaluate_blind((one, other), Summary(), env))
 
 
 def test_an_interruption_while_objects_are_put_in_their_places_begins_no_episode(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import versions
 from rcs.envs.parts import Parts
 from rcs.envs.setup import Setup
+from rcs.envs.step.judge import DIVERGED, FAULT
 from rcs.errors import InvalidSetup, RcsError
 from rcs.robots.description import Description
 from rcs.rollout.collection import Attempt
@@ -207,9 +208,10 @@ class Logbook(Closing):
         """
         if attempt.weights != self._identity.weights:
             which = "" if self._is_blind else f", from {self._identity.weights} to {attempt.weights}"
+            whose = "a policy" if self._is_blind else self.condition.agent
             raise RcsError(
-                f"The weights of {self.condition.agent} changed during the evaluation{which}. Episode {attempt.number} "
-                "is left out; run it again to evaluate the new ones."
+                f"The weights of {whose} changed during the evaluation{which}. Episode {attempt.number} is left out; "
+                "run it again to evaluate the new ones."
             )
         if attempt.is_lost and not self.condition.is_real:
             raise RcsError(
@@ -221,6 +223,7 @@ class Logbook(Closing):
         if not self._is_blind:
             self.ledger.register(condition, self._identity.place)
         seed = self._evaluation.seed_of(attempt.number)
+        judge = "task" if result.own_failure in (FAULT, DIVERGED) else self._judge  # nobody is asked about these
         row = Row(
             key=key_of(self.hash, seed),
             repeat=self._evaluation.repeat_of(attempt.number),
@@ -236,7 +239,7 @@ class Logbook(Closing):
             success=result.success,
             failure=result.failure,
             message=result.words or (None if self._is_blind else result.message),
-            judge="nobody" if result.success is None else self._judge,
+            judge="nobody" if result.success is None else judge,
             stages=result.stages,
             tags=result.tags,
             corrections=corrections,
