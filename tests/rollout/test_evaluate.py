@@ -78,6 +78,15 @@ def test_a_given_environment_is_used_and_closed() -> None:
         env.reset()
 
 
+def test_an_environment_of_another_setup_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    env = rcs.make(replace(SETUP, frequency=10.0))
+    with pytest.raises(InvalidSetup, match=r"than the evaluation: frequency is 10\.0, not 30\.0\. Evaluate with"):
+        list(evaluate(Evaluation(setup=SETUP, agent=Stay, episodes=1, out=tmp_path), env=env))
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(WrongOrder, match="closed"):
+        env.reset()
+
+
 def test_an_unknown_agent_leaves_no_environment_open() -> None:
     env = rcs.make(SETUP)
     with pytest.raises(UnknownName, match="Stey"):
@@ -309,6 +318,11 @@ def test_an_episode_in_which_the_policy_was_lost_has_neither_row_nor_recording(t
             list(evaluate(evaluation, env=env, recorder=recorder))
     assert len(Ledger(tmp_path / "ledger").rows) == 1
     assert [episode.outcome["attempt"] for episode in Dataset.open(tmp_path / "data")] == [0]
+
+
+def test_objects_are_not_placed_by_the_robot_between_episodes() -> None:
+    with pytest.raises(InvalidSetup, match=r"only a collection does.*Use placed_by='reset'"):
+        Evaluation(setup=replace(SETUP, task_options={"placed_by": "robot"}))
 
 
 @pytest.mark.parametrize(

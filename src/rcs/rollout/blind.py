@@ -111,7 +111,7 @@ def evaluate_blind(
                     if type(err) is not RcsError:  # such as that of a device, which says nothing about who acts
                         raise
                     raise RcsError(_GONE) from None
-                books[which].add(attempt)
+                evaluators[which].keep(attempt, books[which].add)
                 summary.attempts.append(attempt)
                 if isinstance(judge, PersonJudge):
                     judge.answered(partial(correct, books[which], summary, len(summary.attempts) - 1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, nullcontext
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.envs.step.stack import for_all
+from rcs.errors import InvalidSetup
 from rcs.rollout.collection import Attempt, episode_id
 from rcs.rollout.episode import SIMULATOR, Answer, EpisodeResult, Judge, run_episode
 from rcs.rollout.evaluation import Evaluation, Summary
@@ -27,6 +28,10 @@ from rcs.rollout.person import PersonJudge
 from rcs.rollout.pool import WorkerPool
 from rcs.rollout.ray_pool import RayPool, write_files
 from rcs.rollout.video import Film, new_film
+from rcs.setups.resolve import with_camera_names
+
+Write = Callable[[Attempt], None]
+"""Writes what came of an episode into a ledger."""
 
 
 class Evaluator:
@@ -55,7 +60,8 @@ class Evaluator:
             keeps_env: Whether the environment stays open.
 
         Raises:
-            InvalidSetup: The setup makes no sense, there is no such agent, or no picture for a film.
+            InvalidSetup: The setup makes no sense, or is not that of the environment, there is no such agent, or no
+                picture for a film.
         """
         self._evaluation, self._keeps_env = evaluation, keeps_env
         self.condition = condition
@@ -63,6 +69,8 @@ class Evaluator:
         self._films, self._judge, self._recorder = films, judge, recorder
         self._env = env or evaluation.make()
         try:
+            if env is not None and env.has_setup:
+                _require_same_setup(evaluation.setup, env)
             self._film = None if films is None else Film(self._env)
             self._agent: Agent = agent_for(self._env, evaluation.agent)
         except BaseException:
@@ -71,7 +79,7 @@ class Evaluator:
             raise
 
     def attempt(self, number: int) -> Attempt:
-        """Run one episode."""
+        """Run one episode; if it is recorded, `keep` it then."""
         if self._film is None or self._films is None:
             return self._attempt(number)
         name = self._evaluation.name_of(self.condition, number)
@@ -85,8 +93,6 @@ class Evaluator:
                 name = f"{episode_id(number)}-{self._evaluation.name_of(self.condition, number)}"  # readers sort by it
                 self._recorder.name_next(self._recorder.free_name(name))
             result = run_episode(self._env, self._agent, seed=self._evaluation.seed_of(number), judge=self._judge)
-            if self._recorder is not None:
-                self._keep(self._recorder, number, result)
         return Attempt(
             number=number,
             result=result,
@@ -96,15 +102,28 @@ class Evaluator:
             seconds=time.perf_counter() - began,
         )
 
-    def _keep(self, recorder: Recorder, number: int, result: EpisodeResult) -> None:
-        """Keep the recording of an episode that was begun, unless a lost policy in simulation leaves it out."""
+    def keep(self, attempt: Attempt, write: Write | None) -> None:
+        """Write what came of the last episode, then keep its recording; a lost policy in simulation leaves none.
+
+        In this order, because a recording takes a while to be finished, in which a kill would lose a person's answer.
+
+        Args:
+            attempt: The episode.
+            write: Writes its row; if that raises an error, there is no recording either. None without a ledger.
+        """
+        recorder, result = self._recorder, attempt.result
+        with nullcontext() if recorder is None else recorder.discard_on_error():
+            if write is not None:
+                write(attempt)
+        if recorder is None:
+            return
         is_simulated = set(self._env.platform.values()) <= {"simulation"}
         if result.failure == SIMULATOR and not recorder.is_recording:
             recorder.forget_next()
-        elif self._agent.is_lost and is_simulated:
+        elif attempt.is_lost and is_simulated:
             recorder.discard()
         else:
-            recorder.finish(result.success, {"attempt": number, **result.outcome()})
+            recorder.finish(result.success, {"attempt": attempt.number, **result.outcome()})
 
     def close(self) -> None:
         """Close agent, film and environment, whatever fails."""
@@ -142,7 +161,7 @@ def evaluate(
         maker: Runs the episodes; None for this process, workers or a cluster, as the evaluation says.
 
     Raises:
-        InvalidSetup: The setup is not valid, or there is no such agent.
+        InvalidSetup: The setup is not valid, or not that of the environment, or there is no such agent.
         DatasetError: The folder has something else than a ledger, or the disk fails.
         RcsError: A worker process died, the cluster or the policy cannot be reached, or the weights changed.
     """
@@ -162,17 +181,19 @@ def evaluate(
         numbers = _numbers(evaluation, summary) if book is None else book.missing(summary)
         if isinstance(judge, PersonJudge):
             numbers = _announced(evaluation, summary, numbers, judge, book, env)
-        is_here = (evaluation.workers == 1 and evaluation.ray is None) or env is not None or judge is not None
+        is_alone = (evaluation.workers == 1 and evaluation.ray is None) or env is not None or judge is not None
+        is_here = maker is None and is_alone
         if maker is not None:
             making = maker(evaluation, numbers)
         elif is_here:
             hash_ = "" if book is None else book.hash
-            making = _here(evaluation, numbers, hash_, env=env, judge=judge, recorder=recorder)
+            write: Write | None = None if book is None else book.add
+            making = _here(evaluation, numbers, hash_, write, env=env, judge=judge, recorder=recorder)
         else:
             making = _elsewhere(evaluation, numbers)
         with closing(making):
             for attempt in making:
-                if book is not None:
+                if book is not None and not is_here:
                     book.add(attempt)
                 summary.attempts.append(attempt)
                 if isinstance(judge, PersonJudge):
@@ -241,6 +262,8 @@ def correct(book: Logbook | None, summary: Summary, place: int, answer: Answer) 
         summary.attempts[place] = replace(attempt, result=attempt.result.corrected(answer))
     else:
         summary.attempts[place] = book.correct(attempt, answer)
+        if summary.pairs is not None:  # the evaluation has ended
+            summary.is_decided, summary.pairs = book.is_decided(summary), book.pairs
 
 
 def _logbook(evaluation: Evaluation, summary: Summary, env: Env | None, judge: Judge | None) -> Logbook:
@@ -269,12 +292,35 @@ def _announced(
         yield number
 
 
-def _here(evaluation: Evaluation, numbers: Iterator[int], condition: str, **options: Any) -> Attempts:
-    """Run episodes in this process."""
+def _require_same_setup(setup: Setup, env: Env) -> None:
+    """Check that an environment has the setup by which its episodes are known in a ledger.
+
+    Raises:
+        InvalidSetup: It has another one; the message has all differences.
+    """
+    own, wanted = env.setup, with_camera_names(setup)
+    differences = [
+        f"{name} is {getattr(own, name)!r}, not {getattr(wanted, name)!r}"
+        for name in (one.name for one in fields(Setup))  # pyright: ignore[reportArgumentType]
+        if getattr(own, name) != getattr(wanted, name)
+    ]
+    if differences:
+        raise InvalidSetup(
+            f"The environment has another setup than the evaluation: {'; '.join(differences)}. Evaluate with "
+            "setup=env.setup, or make the environment of the evaluation's setup."
+        )
+
+
+def _here(
+    evaluation: Evaluation, numbers: Iterator[int], condition: str, write: Write | None = None, **options: Any
+) -> Attempts:
+    """Run episodes in this process, and write them."""
     evaluator = Evaluator(evaluation, condition, **options)
     try:
         for number in numbers:
-            yield evaluator.attempt(number)
+            attempt = evaluator.attempt(number)
+            evaluator.keep(attempt, write)
+            yield attempt
     except BaseException as error:
         try:
             evaluator.close()

@@ -62,7 +62,7 @@ class Evaluation:
         """Check the numbers.
 
         Raises:
-            InvalidSetup: A number is not valid, or an option lacks another one.
+            InvalidSetup: A number is not valid, an option lacks another one, or the robot is to place the objects.
         """
         fewest = 1 if self.ray is None else 0
         for name, least in (("episodes", 1), ("seed", 0), ("repeat", 0), ("workers", fewest)):
@@ -72,6 +72,11 @@ class Evaluation:
         if (self.until is None) != (self.against is None) or (self.against is not None and self.out is None):
             raise InvalidSetup(
                 "until, against and out belong together: a level, another agent, and the ledger with both."
+            )
+        if self.setup.task_options.get("placed_by") == "robot":
+            raise InvalidSetup(
+                "placed_by is 'robot', which only a collection does: in an evaluation the reset places the objects, or "
+                "beside a real robot a person. Use placed_by='reset'."
             )
         is_alone = self.workers == 1 and self.ray is None
         if self.simulator is not None and self.simulator.is_address and not is_alone:
