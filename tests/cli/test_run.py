@@ -66,7 +66,9 @@ def test_a_served_policy_is_run_recorded_and_reported(
     assert condition.versions["rcs-vlagents"] == version("rcs-vlagents")
     rows = list(ledger.rows.values())
     assert [row.seed for row in rows] == [UNSEEN + seed_of(3, number) for number in range(2)]
-    assert [(row.latency_p50, row.latency_p99) for row in rows] == [(0.1, 0.1)] * 2
+    for row in rows:
+        assert row.latency_p50 is not None and row.latency_p99 is not None
+        assert 0.0 < row.latency_p50 <= row.latency_p99 != 0.1, "as the clock has it, not as --latency has it"
     page = (out / "report.html").read_text()
     assert "scripted pick" in page
     assert "Wilson" in page

@@ -135,7 +135,7 @@ class ChunkAgent(Agent):
         had_error = self._executor.error is not None
         command = self._executor.step(now, lambda: self._question(observation, info))
         if self._executor.chunks > len(self._latencies):
-            self._latencies.append(self._executor.latency)
+            self._latencies.append(self._executor.seconds)
         if self._executor.error is not None and not had_error:
             self._lose(self._executor.error)
         return self._actions.hold(observation) if command is None else self._actions.action(command)
@@ -178,7 +178,7 @@ class ChunkAgent(Agent):
 
     @property
     def latencies(self) -> Sequence[float]:
-        """How long each answer took [s]; where several came in one step, the last one of them."""
+        """How long each answer took by the clock [s]; where several came in one step, the last one of them."""
         return self._latencies
 
     @property

@@ -114,6 +114,8 @@ class Executor:
         self._due = 0.0
         self.latency = float("nan")
         """Delay of the newest answer, in the time of the loop [s]."""
+        self.seconds = float("nan")
+        """Time that the newest answer took by the wall clock [s], also where simulated time stood still."""
         self._retry_at: float | None = None
         self.error, self.chunks = None, 0
 
@@ -187,7 +189,7 @@ class Executor:
         if self.error is not None:
             _log.warning("The policy answers again after: %s", self.error)
             self.error = None
-        self.latency = latency if self._thread is None else call.seconds
+        self.latency, self.seconds = latency if self._thread is None else call.seconds, call.seconds
         self._change_over(call.plan, now)
 
     def _change_over(self, new: ChunkPlan, now: float) -> None:
