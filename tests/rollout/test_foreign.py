@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.record import record_all
 from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
-from rcs.errors import InvalidAction, InvalidSetup, RcsError, SimulationError, WrongOrder
+from rcs.errors import InvalidAction, InvalidSetup, RcsError, SimulationError, UnknownName, WrongOrder
 from rcs.policy import Execution, ServedPolicy
 from rcs.rollout.episode import EpisodeResult, run_episode
 from rcs.rollout.evaluate import evaluate, film
@@ -280,10 +281,32 @@ def test_a_mapping_or_a_policy_that_does_not_fit_is_refused_before_the_first_epi
 def test_what_cannot_start_says_why(tmp_path: Path) -> None:
     with pytest.raises(RcsError, match=r"(?s)ended with 1\. All that it printed is in .*simulator\.log:\n.*near, far"):
         ForeignEnv(tiny(tmp_path, task="nearby"))
+    with pytest.raises(UnknownName, match=r"no simulator named 'gazebo'\..*Known: libero, maniskill, metaworld\."):
+        ForeignEnv(ForeignSimulator(name="gazebo:pick"))
     with pytest.raises(InvalidSetup, match="make sims"):
         ForeignEnv(ForeignSimulator(name="maniskill:PickCube-v1", python=tmp_path / "python"))
     with pytest.raises(RcsError, match="ConnectionLost"):
         ForeignEnv(ForeignSimulator(name="vla://127.0.0.1:9"))
+
+
+def test_the_token_of_the_environment_is_sent_and_another_one_is_an_error_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VLAGENTS_TOKEN", "right")
+    server = served(tmp_path)
+    try:
+        monkeypatch.setenv("VLAGENTS_TOKEN", "wrong")
+        began = time.monotonic()
+        with pytest.raises(RcsError, match="does not take the token of the environment variable VLAGENTS_TOKEN"):
+            server.wait(lambda: ForeignEnv(ForeignSimulator(name=server.address)).close(), 60.0)
+        assert time.monotonic() - began < 20.0
+    finally:
+        server.end()
+
+
+def test_a_certificate_is_for_addresses_with_tls() -> None:
+    with pytest.raises(InvalidSetup, match="has no TLS; leave out the certificate"):
+        ForeignEnv(ForeignSimulator(name="vla://127.0.0.1:9", certificate=Path("own.pem")))
 
 
 def test_a_simulator_of_which_no_environment_can_be_made_is_ended(

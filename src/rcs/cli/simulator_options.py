@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from rcs.errors import InvalidSetup
@@ -24,6 +24,10 @@ class SimulatorOptions:
     mapping: Path | None = None
     """JSON file with the mapping between simulator and policy, in place of the simulator's own."""
 
+    simulator_certificate: Path | None = None
+    """File with the certificate that a simulator's server must be signed by, at an address `vlas://`. The environment
+    variable `VLAGENTS_TOKEN` has the token."""
+
     def foreign(self, excluded: Sequence[str]) -> ForeignSimulator | None:
         """Return the simulator; None for the one here.
 
@@ -31,9 +35,13 @@ class SimulatorOptions:
             excluded: Names of options that were given, and make no sense with it.
 
         Raises:
-            InvalidSetup: There are such, or an option is not written as one.
+            InvalidSetup: There are such, an option is not written as one, or there is no simulator that it is for.
         """
         if self.simulator is None:
+            if given := [own.name for own in fields(self) if getattr(self, own.name)]:
+                raise InvalidSetup(
+                    f"{', '.join(given)} is of a simulator of another project, and none is named; give simulator, too."
+                )
             return None
         if excluded:
             raise InvalidSetup(
@@ -44,5 +52,9 @@ class SimulatorOptions:
             raise InvalidSetup(f"simulator_options has {words[0]!r}; valid is NAME=VALUE, such as size=256.")
         options = dict(word.split("=", 1) for word in self.simulator_options)
         return ForeignSimulator(
-            name=self.simulator, python=self.simulator_python, options=options, mapping=self.mapping
+            name=self.simulator,
+            python=self.simulator_python,
+            options=options,
+            mapping=self.mapping,
+            certificate=self.simulator_certificate,
         )

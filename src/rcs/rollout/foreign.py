@@ -7,6 +7,7 @@ have the names and units of `envs.spaces`; the mapping from those of the simulat
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -26,7 +27,8 @@ from rcs.envs.spaces import FRAMES, GRIPPER, RGB, Arrays, Control, Observation
 from rcs.envs.step.chain import Chain
 from rcs.envs.step.clock import Clock, Outcome
 from rcs.envs.step.stack import Stack
-from rcs.errors import InvalidSetup, RcsError, SimulationError, WrongOrder
+from rcs.errors import InvalidSetup, RcsError, SimulationError, UnknownName, WrongOrder
+from rcs.policy.agent import TOKEN
 from rcs.policy.interface import key_of, vlagents
 from rcs.rollout.serving import ServerProcess
 
@@ -57,6 +59,8 @@ class ForeignSimulator:
     """Longest duration until the simulator listens [s]."""
     log: Path | None = None
     """File to which everything is appended that the simulator prints; None for a new temporary one."""
+    certificate: Path | None = None
+    """File with the certificate that the server's must be signed by, at an address `vlas://`."""
 
     def __post_init__(self) -> None:
         """Check the options.
@@ -79,10 +83,16 @@ class ForeignSimulator:
         """Start the simulator's server.
 
         Raises:
+            UnknownName: There is no such simulator.
             InvalidSetup: There is no such Python.
         """
-        python = self.python or ENVIRONMENTS / self.name.partition(":")[0] / "bin" / "python"
+        name = self.name.partition(":")[0]
+        python = self.python or ENVIRONMENTS / name / "bin" / "python"
         if not python.is_file():
+            known = vlagents("vlagents.simulators.served").BUILT_IN
+            if self.python is None and name not in known:
+                hint = "One of your own is module:Class:task, and needs its Python (simulator_python)."
+                raise UnknownName("simulator", name, known, hint=hint)
             raise InvalidSetup(
                 f"The simulator {self.name!r} needs its own Python, and there is no {python}. `make sims` makes it "
                 "in a checkout; else name one that has vlagents and the simulator."
@@ -200,9 +210,16 @@ class Connection:
         return self._client
 
     def _connected(self, address: str) -> SimulatorClient:
+        """Return a client; the token is that of the environment variable `VLAGENTS_TOKEN`, as of a policy."""
         v, module = vlagents(), vlagents("vlagents.simulators.client")
         try:
-            return module.SimulatorClient(address, self._mapping, timeout=self._simulator.timeout)
+            return module.SimulatorClient(
+                address,
+                self._mapping,
+                token=os.environ.get(TOKEN),
+                timeout=self._simulator.timeout,
+                certificate=self._simulator.certificate,
+            )
         except v.InvalidInput as err:
             raise InvalidSetup(str(err)) from err
         except (v.VlagentsError, OSError) as err:

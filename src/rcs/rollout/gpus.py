@@ -1,11 +1,11 @@
-"""GPUs of this machine for servers of policies: each server gets one that no other has, as long as there is one."""
+"""What servers share on this machine: each gets a port, and if there are several GPUs one, that no other has."""
 
 from __future__ import annotations
 
 import fcntl
 import os
 import tempfile
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -27,11 +27,26 @@ def own_gpu() -> Generator[str | None]:
 
     None where there are not several, or all are taken.
     """
-    folder = Path(tempfile.gettempdir(), f"rcs-gpus-{os.getuid()}")
-    found, names = None, gpus()
+    names = gpus()
+    with first_free("gpus", names if len(names) > 1 else ()) as found:
+        yield found
+
+
+@contextmanager
+def first_free(kind: str, names: Iterable[str]) -> Generator[str | None]:
+    """Yield the first name that no other program of this user has taken here; it is given back as in `own_gpu`.
+
+    None where all are taken.
+
+    Args:
+        kind: Kind of things that have the names, such as `gpus`.
+        names: Their names; no more of them are asked for than are needed.
+    """
+    folder = Path(tempfile.gettempdir(), f"rcs-{kind}-{os.getuid()}")
+    found: str | None = None
     lock = -1
     try:
-        for name in names if len(names) > 1 else ():
+        for name in names:
             folder.mkdir(mode=0o700, exist_ok=True)
             lock = os.open(
                 folder / name.replace("/", "-"), os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600

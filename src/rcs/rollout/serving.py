@@ -9,14 +9,16 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
 from rcs.errors import InvalidSetup, RcsError
 from rcs.policy import ServedPolicy
-from rcs.rollout.gpus import VARIABLE, own_gpu
+from rcs.policy.agent import TOKEN
+from rcs.policy.interface import vlagents
+from rcs.rollout.gpus import VARIABLE, first_free, own_gpu
 
 T = TypeVar("T")
 
@@ -46,8 +48,9 @@ class ServerProcess:
         Raises:
             InvalidSetup: There is no such program.
         """
-        port = _free_port()
-        words = [word.replace("{port}", str(port)) for word in words]
+        self._taken = ExitStack()
+        port = str(self._taken.enter_context(first_free("ports", _free_ports())))
+        words = [word.replace("{port}", port) for word in words]
         self.address, self._log = f"vla://127.0.0.1:{port}", log
         """Where it listens, once it does."""
         environment = os.environ if gpu is None else {**os.environ, VARIABLE: gpu}
@@ -62,6 +65,7 @@ class ServerProcess:
                     start_new_session=True,
                 )
             except OSError as err:
+                self._taken.close()
                 raise InvalidSetup(f"Could not start {words[0]!r}: {err.strerror or err}.") from err
         watch = [sys.executable, "-ISc", _WATCH, str(self._process.pid)]
         self._watch = subprocess.Popen(
@@ -77,7 +81,8 @@ class ServerProcess:
 
         Raises:
             InvalidSetup: It answers, and what it serves does not fit.
-            RcsError: It ended, or does not answer in time; the message has its last lines, and the file with all.
+            RcsError: It ended, does not answer in time, or wants another token; the message has its last lines, and the
+                file with all.
         """
         until = time.monotonic() + patience
         while True:
@@ -88,6 +93,11 @@ class ServerProcess:
             except RcsError as err:
                 if (code := self._process.poll()) is not None:
                     raise RcsError(f"The server ended with {code}. {self._said()}") from err
+                if isinstance(err.__cause__, vlagents().Unauthorized):
+                    raise RcsError(
+                        f"The server does not take the token of the environment variable {TOKEN}, or wants one while "
+                        f"there is none; give both the same. {self._said()}"
+                    ) from err
                 if time.monotonic() > until:
                     raise RcsError(f"The server does not answer after {patience:g} s: {err} {self._said()}") from err
             time.sleep(_PAUSE)
@@ -112,6 +122,7 @@ class ServerProcess:
         self._watch.kill()  # while the number of the group is not given to another one
         self._watch.communicate()
         self._process.wait()
+        self._taken.close()
 
 
 @contextmanager
@@ -148,7 +159,10 @@ def serving(command: str, checkpoint: Path, log: Path, *, patience: float = PATI
             server.end()
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def _free_ports() -> Iterator[str]:
+    """Yield ports at which nothing listens now: of several servers at a time, each takes some seconds until it does."""
+    while True:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = str(probe.getsockname()[1])
+        yield port
