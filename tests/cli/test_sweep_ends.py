@@ -12,6 +12,8 @@ import pytest
 
 from rcs.cli.sweep import SweepCommand
 from rcs.errors import InvalidSetup
+from rcs.rollout.collection import Attempt
+from rcs.rollout.episode import EpisodeResult
 from rcs.rollout.evaluation import Summary
 
 Asked = list[tuple[int, int | None]]
@@ -22,17 +24,19 @@ Asked = list[tuple[int, int | None]]
 def sweep(
     call_unwrapped: Any, tmp_path: Path, trained: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., tuple[int, str, Asked]]:
-    """Return a function that sweeps without running an episode: it calls another one, with the count, for each."""
+    """Return a function that sweeps without running an episode: it calls another one, with the count, for each.
 
-    def run(evaluate: Callable[[int], None], *options: str) -> tuple[int, str, Asked]:
+    That may return what the episodes came to.
+    """
+
+    def run(evaluate: Callable[[int], Summary | None], *options: str) -> tuple[int, str, Asked]:
         asked: Asked = []
 
         def evaluated(_: Any, steps: int, path: Path, options: Any, console: Any, seed: int | None = None) -> Summary:
             if not path.is_dir():
                 raise InvalidSetup("it is gone")
             asked.append((steps, seed))
-            evaluate(len(asked))
-            return Summary()
+            return evaluate(len(asked)) or Summary()
 
         monkeypatch.setattr(SweepCommand, "_evaluate", evaluated)
         words = ("--serve", "x {checkpoint} {port}", *options, "--out", tmp_path / "out")
@@ -73,3 +77,13 @@ def test_a_checkpoint_that_its_training_removes_is_left_out(sweep: Any, trained:
     assert code == 0, told
     assert asked == [(1000, None), (1000, 1 << 31)]
     assert "2000 steps: the training has removed this checkpoint" in told
+
+
+def test_episodes_without_a_verdict_are_told_beside_the_rate_of_the_best(sweep: Any) -> None:
+    verdicts = (True, False, None, None)
+    results = [EpisodeResult(seed=0, steps=1, success=one, failure=None, reward=0.0) for one in verdicts]
+    attempts = [Attempt(number=number, result=result) for number, result in enumerate(results)]
+    code, told, _ = sweep(lambda count: Summary(attempts=attempts))
+    assert code == 0, told
+    assert "did not choose it: 1 of 2 judged = 50.0 %" in told
+    assert "%); 2 not judged" in told

@@ -123,17 +123,19 @@ def print_results(
         return
     console.print(results_table(summary, seconds, workers))
     with Ledger(evaluation.out) as ledger:
-        if videos and not summary.is_interrupted:
-            _film(evaluation, ledger, summary.condition, videos, record, console)
-        if evaluation.against is not None:
-            other = ledger.find(evaluation.against, besides=summary.condition)
-            (one,) = compare(ledger, [summary.condition, other])
-            one = replace(one, pairs=summary.pairs or one.pairs, until=evaluation.until)
-            console.print(one.words, soft_wrap=True)
-        for sentence in ledger.damage:
-            console.print(sentence, soft_wrap=True)
-        console.print(f"Ledger: {evaluation.out / LEDGER_FILE}", soft_wrap=True)
-        console.print(f"Report: {write_ledger_page(ledger)}", soft_wrap=True)
+        try:
+            if videos and not summary.is_interrupted:
+                _film(evaluation, ledger, summary.condition, videos, record, console)
+        finally:  # whatever becomes of films
+            if evaluation.against is not None:
+                other = ledger.find(evaluation.against, besides=summary.condition)
+                (one,) = compare(ledger, [summary.condition, other])
+                one = replace(one, pairs=summary.pairs or one.pairs, until=evaluation.until)
+                console.print(one.words, soft_wrap=True)
+            for sentence in ledger.damage:
+                console.print(sentence, soft_wrap=True)
+            console.print(f"Ledger: {evaluation.out / LEDGER_FILE}", soft_wrap=True)
+            console.print(f"Report: {write_ledger_page(ledger)}", soft_wrap=True)
 
 
 def _film(
@@ -236,6 +238,8 @@ def results_table(summary: Summary, seconds: float, workers: int | str) -> Table
         place = f" at {identity.place}" if identity.place else ""
         table.add_row("agent", f"{identity.name}{place}{weights}")
     table.add_row("success", f"{interval}{high:.1f} %)" if summary.judged else "not judged")
+    if left_out := len(summary.results) - summary.judged:
+        table.add_row("not judged", str(left_out))
     table.add_row("failures", ", ".join(f"{name} {count}" for name, count in summary.failures.most_common()) or "none")
     if repeated := len(summary.repetitions):
         table.add_row("repetitions", f"{repeated} repeated, {summary.changed} ended differently")

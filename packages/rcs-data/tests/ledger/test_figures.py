@@ -147,6 +147,18 @@ def test_domains_are_compared_over_agents_that_have_both(varied: Ledger, filled:
 
 
 @pytest.mark.extras
+def test_a_group_without_a_verdict_is_in_the_table_and_not_drawn(
+    filled: Ledger, make_row: MakeRow, make_condition: MakeCondition
+) -> None:
+    condition = make_condition("delta")
+    filled.register(condition)
+    filled.add(make_row(condition, 0, success=None))
+    path = write_figures(filled, "agent")
+    assert "<td>delta</td><td>not judged</td><td>1</td>" in path.read_text()
+    assert "delta" not in path.with_suffix(".svg").read_text()
+
+
+@pytest.mark.extras
 @pytest.mark.parametrize("by", ["steps", "robot", "mix"])
 def test_files_and_page_have_the_rates(varied: Ledger, by: str) -> None:
     path = write_figures(varied, by)

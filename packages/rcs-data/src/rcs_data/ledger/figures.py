@@ -34,9 +34,10 @@ def write_figures(ledger: Ledger, by: str) -> Path:
         InvalidSetup: No condition has such a value.
         DatasetError: The disk fails.
     """
-    groups = [one for one in groups_of(ledger, by) if one.verdicts.judged]
+    groups = groups_of(ledger, by)
+    judged = [one for one in groups if one.verdicts.judged]
     folder = ledger.folder / FIGURES_FOLDER
-    drawn = {kind: _drawn(groups, by, kind) for kind in ("svg", "png")}
+    drawn = {kind: _drawn(judged, by, kind) for kind in ("svg", "png")}
     path = folder / f"by-{by.replace('/', '-')}.html"
     with disk_errors("write the figures", folder):
         folder.mkdir(exist_ok=True)
