@@ -178,6 +178,7 @@ def test_what_makes_no_sense_on_devices_is_refused_before_any_is_opened(
     address: str, arms: list[FakeArm], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for more, told in [(["--latency", "0.1"], "latency"), (["--hardware", "nothing:a"], "nothing"),
+                       (["--videos", "1", "--record", str(tmp_path / "data")], "videos"),
                        (["--hardware", str(tmp_path / "none.json")], "none.json")]:  # fmt: skip
         words = ["--policy", address, "--hardware", "fake", *more, "--out", str(tmp_path / "out")]
         assert run(*words) == 1

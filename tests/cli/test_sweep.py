@@ -238,6 +238,8 @@ def test_what_is_wrong_with_a_run_or_a_command_is_said(
         ((str(tmp_path / "none"),), "There is no checkpoint in"),
         ((str(trained),), "is a checkpoint of LeRobot; say by --serve"),
         ((str(trained), "--page", "127.0.0.1:8080"), "name these by hardware"),
+        ((str(trained), "--real-episodes", "3"), "real_episodes are on devices"),
+        ((str(trained), "--mode", "ensemble", "--latency", "0.1"), "mode, latency is for chunks of a served policy"),
         ((str(trained), "--serve", "python -m mine {port}"), "has no {checkpoint}"),
         ((str(trained), "--serve", "x {checkpoint} {port}", "--workers", "2"), "serve has one process"),
         ((str(trained), "--serve", "x {checkpoint} {port}", "--ray", "auto"), "leave out workers and ray"),

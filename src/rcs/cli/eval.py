@@ -44,7 +44,8 @@ class EvalCommand(SetupOptions):
             raise InvalidSetup("A simulator of another project has no expert: name who acts with --agent.")
         if simulator is None and not self.task:
             raise InvalidSetup("Give a task, such as `rcs eval PickCuboid`, a checkpoint, or a --simulator.")
-        workers = 1 if simulator is not None and self.pool.workers == 0 else self.pool.processes(self.episodes)
+        is_single = simulator is not None and self.pool.workers == 0 and self.pool.ray is None
+        workers = 1 if is_single else self.pool.processes(self.episodes)
         evaluation = Evaluation(
             setup=self.setup() if simulator is None else setup_of_simulator(simulator),
             simulator=simulator,

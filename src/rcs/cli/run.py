@@ -54,7 +54,8 @@ class RunCommand(SetupOptions):
     and the same seed gives the same episodes. Ctrl-C ends after the running episode, a second one at once.
 
     With `--hardware`, the episodes are on real devices, which hold at the end of each, when the policy is late or lost,
-    and when anything fails. Without `--judge`, nobody says how they went.
+    and when anything fails. No arm goes home in between: an episode begins where the one before ended. Without
+    `--judge`, nobody says how they went.
 
     With `--simulator`, they are in another project's simulator, which says how they went. One that fails gives an
     episode without a verdict.
@@ -104,10 +105,10 @@ class RunCommand(SetupOptions):
         console, summary = plain_console(soft_wrap=False), Summary()
         ledger, served = self.ledger.checked(), self._served(self.policy)
         metadata = served.metadata()
-        if self.blind is not None:
-            return self._compare_blindly(self.blind, served, ledger, console)
         real = [name for name in ("hardware", "real_time") if getattr(self, name)]
         simulator = self.simulation.foreign([*self.given, *["task"] * (self.task != RunCommand.task), *real])
+        if self.blind is not None:
+            return self._compare_blindly(self.blind, served, ledger, console)
         foreign = None if simulator is None else ForeignEnv(simulator)
         evaluation = Evaluation(
             setup=fitted_setup(self, metadata, "realtime" if self.real_time else None)
@@ -119,6 +120,11 @@ class RunCommand(SetupOptions):
             seed=self.seed,
             **ledger,
         )
+        if self.ledger.videos and self.hardware and self.record is not None and not evaluation.setup.cameras:
+            raise InvalidSetup(
+                "videos of real episodes are cut from their recording, and this one has no camera. Name cameras, or "
+                "leave videos out."
+            )
         if not metadata.checkpoint_hash:
             console.print(
                 f"{metadata.name} does not say which weights act: episodes of other weights with the same description "

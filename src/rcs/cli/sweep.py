@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -81,6 +81,13 @@ class SweepCommand(SetupOptions):
             raise InvalidSetup(f"There is no checkpoint in {self.training}; valid is the folder of a run.")
         if self.page is not None and self.hardware is None:
             raise InvalidSetup("page asks how episodes on devices went; name these by hardware.")
+        if self.real_episodes != SweepCommand.real_episodes and self.hardware is None:
+            raise InvalidSetup("real_episodes are on devices; name these by hardware.")
+        chunks = [name for name, value in asdict(self.execution).items() if value != getattr(Execution(), name)]
+        if self.serve is None and chunks:
+            raise InvalidSetup(
+                f"{', '.join(chunks)} is for chunks of a served policy; give serve, too, or leave it out."
+            )
         if self.serve is not None and (self.pool.ray is not None or self.pool.workers > 1):
             raise InvalidSetup(
                 "serve has one process, beside its server: leave out workers and ray, and start more sweeps."
@@ -114,7 +121,8 @@ class SweepCommand(SetupOptions):
         again = {**options, "tags": {**(self.ledger.tags or {}), "sweep": AGAIN}}
         summary = self._evaluate(steps, rates[steps][1], again, console, seed=self.seed + _OTHER_SEEDS)
         verdicts = Verdicts.of(result.success for result in summary.results)
-        console.print(f"{steps} steps, on seeds that did not choose it: {verdicts}", soft_wrap=True)
+        left_out = f"; {verdicts.not_judged} not judged" if verdicts.judged and verdicts.not_judged else ""
+        console.print(f"{steps} steps, on seeds that did not choose it: {verdicts}{left_out}", soft_wrap=True)
         return INTERRUPTED if summary.is_interrupted else 0
 
     def _evaluate(
