@@ -270,7 +270,7 @@ def test_an_environment_goes_through_freezes_losses_and_returns(running: Running
         off = seen - np.array([truth(name, one) for one in at])
         assert (np.abs(off) < 0.1).all(), "no frame has a false time"
     assert episode.outcome["reconnections"]["frames/wrist"] >= 1
-    assert episode.info.origin["cameras"]["wrist"]["serial"] == "virtual-wrist"
+    assert episode.outcome["cameras"]["wrist"]["serial"] == "virtual-wrist"
     clock = episode.timing["devices"]["frames/diagonal"]["clock"]
     assert clock["drift"] == pytest.approx(DRIFT, abs=2e-3)
 

@@ -140,7 +140,7 @@ def test_a_devices_own_calibration_is_used_whole_also_when_it_is_known_only_afte
     for _ in range(20):
         frame = env.step({"joints": np.zeros(6), "gripper": np.ones(1, np.float32)})[0]["frames"]["overhead"]
         np.testing.assert_allclose(frame["distortion"], lens)
-    about = env.stack.about["cameras"]["overhead"]
+    about = env.stack.device_facts["cameras"]["overhead"]
     assert about == {"source": "device", "size": [640, 480], "matrix": matrix.tolist(), "distortion": lens}
     env.close()
 

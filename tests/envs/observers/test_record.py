@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetWriter
 
 import rcs
+from rcs.devices import CameraMode
+from rcs.devices.fakes import FakeCamera
 from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.record import record, record_all
@@ -111,6 +114,30 @@ def test_an_episode_that_a_reset_cuts_short_is_not_kept_and_a_loop_in_real_time_
     np.testing.assert_array_equal(episode.column("notes/latency")[1:], [0.25] * 3)
     assert Dataset.open(tmp_path / "set").info.origin["platform"] == {"fr3": "fake", "fr3/franka_hand": "fake"}
     env.close()
+
+
+class NumberedCamera(FakeCamera):
+    """Knows its serial number once it is open."""
+
+    @property
+    def about(self) -> dict[str, Any]:
+        return {"serial": "A1" if self.is_open else "", "options": {"gain": 3}}
+
+
+def test_what_a_camera_says_once_it_is_open_is_in_each_episode_and_its_dataset_can_be_continued(
+    tmp_path: Path,
+) -> None:
+    camera = NumberedCamera(CameraMode(640, 480, 30.0, False), name="side")
+    with rcs.make("Free", cameras=("side",), hardware={"fr3": "fake", "side": camera}) as env:
+        for _ in range(2):
+            with record(env, tmp_path / "set") as takes:
+                takes.start(at_reset=True)
+                env.reset()
+                takes.finish(success=None)
+    dataset = Dataset.open(tmp_path / "set")
+    assert dataset.info.origin["cameras"] == {"side": {"options": {"gain": 3}}}
+    told = {"side": {"serial": "A1", "source": "data sheet"}}
+    assert [episode.outcome["cameras"] for episode in dataset] == [told] * 2
 
 
 def test_takes_are_kept_discarded_and_done_again_by_a_person(tmp_path: Path) -> None:

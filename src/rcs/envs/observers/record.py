@@ -102,4 +102,10 @@ def recorder_of(env: Env | VecEnv, writer: DatasetWriter, names: Iterator[str] |
     """Return what records an environment, or one copy of a batch: beside its loop where steps take real time."""
     ages = [port.stale_after for port in env.stack.ports if port.stale_after is not None]
     is_real = isinstance(env, Env) and env.is_real
-    return Recorder(writer, names=names, background=is_real, stale_after=min(ages, default=None))
+    return Recorder(
+        writer,
+        names=names,
+        background=is_real,
+        stale_after=min(ages, default=None),
+        device_facts=lambda: env.stack.device_facts,
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -57,6 +57,7 @@ class Recorder(Observer):
         names: Iterator[str] | None = None,
         background: bool = False,
         stale_after: float | None = None,
+        device_facts: Callable[[], Mapping[str, Any]] = dict[str, Any],
     ) -> None:
         """Record into a dataset.
 
@@ -68,10 +69,12 @@ class Recorder(Observer):
                 writer that is too slow leaves out images, flagged and counted; otherwise the loop waits for it.
             stale_after: Age [s] of a frame, from capture to the end of the step, from which it is flagged as stale;
                 None for never, as simulated frames are as old as their drawing takes.
+            device_facts: Returns what open devices say of themselves, which each episode's outcome keeps.
         """
         self._names = names
         self._broken_off: dict[str, Any] = {}
-        self._objects: dict[str, Any] = {}
+        self._device_facts = device_facts
+        self._first_facts: dict[str, Any] = {}
         self._reconnections: Mapping[str, int] = {}
         self._first_reconnections: Mapping[str, int] = {}
         self._writer = writer
@@ -225,7 +228,7 @@ class Recorder(Observer):
         episode.end = lambda _: self.close()
         self._broken_off = {}
         poses = {name: pose.tolist() for name, pose in first.objects.items()}
-        self._objects = {OBJECTS: poses} if poses else {}
+        self._first_facts = {**self._device_facts(), **({OBJECTS: poses} if poses else {})}
         self._last_time = first.time
         self._last_captures = {}
         self._add(first, period=None)
@@ -301,7 +304,7 @@ class Recorder(Observer):
         begun = self._first_reconnections
         again = {key: n for key, total in self._reconnections.items() if (n := total - begun.get(key, 0))}
         breaks = {RECONNECTIONS: again} if again else {}
-        facts = {**self._objects, **breaks, **self._broken_off, **(outcome or {})}
+        facts = {**self._first_facts, **breaks, **self._broken_off, **(outcome or {})}
         take = self._take
         try:
             record = self._episode.finish(success, facts, instruction=instruction)

@@ -24,6 +24,9 @@ from rcs.hardware.usb import require_plugs
 from rcs.robots.camera import Calibration, CameraDescription, describe
 from rcs.spatial.pinhole import Intrinsics, cropped
 
+OPTIONS = "options"
+"""Key of a camera's `about` with the options of its site; all others are known for certain only once it is open."""
+
 
 class CameraPort(Port):
     """Real cameras, as `frames`/camera. A frame that is seen again is the same read-only arrays."""
@@ -121,17 +124,28 @@ class CameraPort(Port):
 
     @property
     def about(self) -> dict[str, Any]:
-        """How each camera is calibrated, as far as it is known; a device may know it only when it is open."""
+        """The options of each camera, and its calibration where that is from a file."""
         cameras: dict[str, Any] = {}
         for name, camera in self._cameras.items():
-            facts = dict(getattr(camera, "about", {}))
+            options = {key: value for key, value in getattr(camera, "about", {}).items() if key == OPTIONS}
+            calibration = self._calibrations[name].about() if name in self._calibrations else {}
+            if options or calibration:
+                cameras[name] = {**options, **calibration}
+        return {"cameras": cameras} if cameras else {}
+
+    @property
+    def device_facts(self) -> dict[str, Any]:
+        """What each open camera says of itself, such as its serial number, and its intrinsics if no file has them."""
+        cameras: dict[str, Any] = {}
+        for name, camera in self._cameras.items():
+            facts = {key: value for key, value in getattr(camera, "about", {}).items() if key != OPTIONS}
             own, mode = camera.calibration, (camera.mode.width, camera.mode.height)
-            if name in self._calibrations:
-                facts |= self._calibrations[name].about()
-            elif own is not None:
-                facts |= {"source": "device", **describe(Intrinsics.of_matrix(own.matrix, mode, own.distortion))}
-            elif name in self._descriptions:
-                facts["source"] = "data sheet"
+            file = self._calibrations.get(name)
+            if file is None or file.intrinsics is None:  # else `about` has them
+                if own is not None:
+                    facts |= {"source": "device", **describe(Intrinsics.of_matrix(own.matrix, mode, own.distortion))}
+                elif name in self._descriptions:
+                    facts["source"] = "data sheet"
             if facts:
                 cameras[name] = facts
         return {"cameras": cameras} if cameras else {}

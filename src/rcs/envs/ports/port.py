@@ -62,7 +62,15 @@ class Port(ABC):
 
     @property
     def about(self) -> Mapping[str, Any]:
-        """Facts about the port's sensors for recordings, as JSON values: dictionaries by name under each key."""
+        """Facts about the port's sensors for datasets, as JSON values: dictionaries by name under each key.
+
+        They are known before the port is open, and a dataset is only continued where they are the same.
+        """
+        return {}
+
+    @property
+    def device_facts(self) -> Mapping[str, Any]:
+        """What the port's open devices say of themselves, in the same form; each recorded episode has it."""
         return {}
 
     def command(self, action: Arrays) -> None:  # noqa: B027  a sensor takes no commands

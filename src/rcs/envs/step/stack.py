@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -66,12 +66,13 @@ class Stack:
 
     @property
     def about(self) -> dict[str, dict[str, Any]]:
-        """Facts about sensors for recordings: `cameras` (calibrations) and `labels` (names in segmentation)."""
-        merged: dict[str, dict[str, Any]] = {}
-        for port in self.ports:
-            for key, values in port.about.items():
-                merged[key] = {**merged.get(key, {}), **values}
-        return merged
+        """Facts about sensors for datasets: `cameras` (options, calibrations) and `labels` (names in segmentation)."""
+        return _merged(port.about for port in self.ports)
+
+    @property
+    def device_facts(self) -> dict[str, dict[str, Any]]:
+        """What open devices say of themselves, for episodes: `cameras` (serial numbers, calibrations of their own)."""
+        return _merged(port.device_facts for port in self.ports)
 
     @property
     def layers(self) -> list[Layer]:
@@ -322,6 +323,14 @@ class Stack:
 
 def _prefix(name: str) -> str:
     return f"{name}/" if name else ""
+
+
+def _merged(facts: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    merged: dict[str, dict[str, Any]] = {}
+    for own in facts:
+        for key, values in own.items():
+            merged[key] = {**merged.get(key, {}), **values}
+    return merged
 
 
 def _space(boxes: Mapping[str, Mapping[str, spaces.Space[Any]]]) -> spaces.Dict:
