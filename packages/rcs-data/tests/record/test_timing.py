@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from rcs_data import DatasetWriter
+from rcs_data import DatasetWriter, Feature
 
 if TYPE_CHECKING:
     from conftest import MakeInfo, MakeRows
@@ -69,6 +70,25 @@ def test_a_frozen_camera_is_counted_by_image_and_by_capture_time(
         "longest_freeze": 3,
     }
     assert cameras["observation/frames/wrist/depth"]["repeated_images"] == 0
+
+
+@pytest.mark.parametrize("rate", [20.0, 60.0, 1000.0])
+def test_a_gap_of_a_device_is_one_that_the_loop_has_seen(
+    tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows, rate: float
+) -> None:
+    """At 50 Hz, of a sensor that gives nothing for 0.2 s, twice; the second time, its rows have no time at all."""
+    rows = make_rows(200)
+    for i, row in enumerate(rows):
+        row["time/monotonic"] = 100 + i / 50
+        moment = i // 50 if 50 <= i < 60 or 100 <= i < 110 else i / 50
+        row["time/frames/wrist"] = None if 100 < i < 110 else 100 + np.floor(moment * rate + 1e-6) / rate
+        row["time/command"] = row["time/monotonic"] - 0.02
+    info = make_info(frequency=50.0)
+    info = replace(info, features=(*info.features, Feature(key="time/command", shape=(), dtype="float64", unit="s")))
+    devices = timing_of(tmp_path, info, rows)["devices"]
+    assert devices.keys() == {"frames/wrist"}
+    assert devices["frames/wrist"]["gaps"] == 2
+    assert devices["frames/wrist"]["rate"] == pytest.approx(min(rate, 50.0), rel=0.15)
 
 
 def test_times_that_were_not_measured_are_left_out(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> None:
