@@ -1,4 +1,4 @@
-"""Modes, controls, resets and times of RealSense cameras, over a fake of the library whose pipeline never starts."""
+"""Modes, controls, resets and times of RealSense cameras, over a fake of the library whose pictures never come."""
 
 from __future__ import annotations
 
@@ -66,6 +66,7 @@ class Library:
     def __init__(self, *sensors: Sensor) -> None:
         self.enabled: list[tuple[Any, ...]] = []
         self.resets = 0
+        self.is_held = self.is_streaming = False
         about = {"serial_number": "1", "name": "D400", "physical_port": "/sys/devices/usb2/2-1/2-1:1.0/video4linux"}
         self.device = SimpleNamespace(
             query_sensors=lambda: sensors, get_info=about.get, hardware_reset=lambda: setattr(self, "resets", 1)
@@ -80,10 +81,16 @@ class Library:
         )
 
     def pipeline(self) -> Any:
-        return SimpleNamespace(start=self._start, stop=lambda: None)
+        return SimpleNamespace(start=self._start, stop=lambda: setattr(self, "is_streaming", False))
 
-    def _start(self, config: Any) -> None:
-        raise RuntimeError("the pipeline does not start")
+    def _start(self, config: Any) -> Any:
+        if self.is_held:
+            raise RuntimeError("the pipeline does not start")
+        self.is_streaming = True
+        return SimpleNamespace(get_device=lambda: self.device, get_stream=self._get_stream)
+
+    def _get_stream(self, kind: str) -> None:
+        raise RuntimeError("no picture comes")
 
 
 @pytest.fixture
@@ -112,8 +119,8 @@ def camera(*mode: Any, **options: Any) -> Camera:
 
 
 def set_up(*mode: Any, **options: Any) -> None:
-    """Open a camera, as far as its pipeline."""
-    with pytest.raises(DeviceFault, match="does not start"):
+    """Open a camera, as far as its pictures."""
+    with pytest.raises(DeviceFault, match="no picture comes"):
         camera(*mode, **options).open()
 
 
@@ -139,6 +146,22 @@ def test_what_a_control_does_not_take_is_refused_with_what_it_does(d435: Library
     ):
         with pytest.raises(InvalidSetup, match=words):
             camera(**options).open()
+        assert not d435.is_streaming
+
+
+def test_the_controls_of_a_camera_that_another_program_uses_stay(d435: Library, rgb: Sensor) -> None:
+    d435.is_held = True
+    with pytest.raises(DeviceFault, match="does not start"):
+        camera(exposure=0.008).open()
+    assert not rgb.values
+
+
+def test_a_recording_takes_no_controls() -> None:
+    for path in ("side.db3", "side.bag"):
+        with pytest.raises(InvalidSetup, match=rf"The options \['exposure', 'emitter'\] set a camera; {path} is a rec"):
+            RealsenseDriver().camera(
+                path, REALSENSE_D435, CameraMode(640, 480, 30.0), {"emitter": True, "exposure": 0.008}
+            )
 
 
 def test_controls_are_set_on_the_colours_and_the_others_left_to_the_camera(
@@ -184,7 +207,7 @@ def test_a_mode_that_is_not_offered_is_refused_with_those_that_are(d435: Library
 def test_after_failures_in_a_row_the_hardware_is_reset_and_it_is_told(
     d435: Library, caplog: pytest.LogCaptureFixture
 ) -> None:
-    failing = camera()
+    d435.is_held, failing = True, camera()
     for count in range(RESET_AFTER):
         assert not d435.resets, f"not after {count} failures"
         with pytest.raises(DeviceFault, match="does not start"):
@@ -196,6 +219,7 @@ def test_after_failures_in_a_row_the_hardware_is_reset_and_it_is_told(
 def test_a_camera_that_may_not_be_used_or_is_in_use_is_told_with_what_helps(
     d435: Library, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    d435.is_held = True
     place = UsbDevice(path="2-1", product="RealSense", nodes=("video-of-a-camera", "hidraw-of-a-camera"))
     monkeypatch.setattr("rcs.hardware.realsense.usb_devices", lambda: [place, UsbDevice(path="2-2", nodes=("video9",))])
     shut = f"you may not use /dev/video-of-a-camera: copy {RULES} to /etc/udev/rules.d"

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import errno
 import struct
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -110,20 +107,6 @@ def test_a_control_that_keeps_another_value_is_a_fault(kernel: Kernel) -> None:
     kernel.most = 20
     with pytest.raises(DeviceFault, match="keeps gain at 20 when it is set to 64"):
         set_controls(gain=64)
-
-
-def test_the_program_that_has_a_file_open_is_named(tmp_path: Path) -> None:
-    file = tmp_path / "video7"
-    words = f"open({str(file)!r}, 'w'); print(flush=True); input()"
-    with subprocess.Popen(
-        [sys.executable, "-c", f"held = {words}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as other:
-        assert other.stdout is not None
-        other.stdout.readline()
-        (name,) = v4l2.holders(str(file))
-        assert name.startswith(f"process {other.pid} (python")
-        other.communicate(b"\n")
-    assert v4l2.holders(str(file)) == []
 
 
 def test_another_power_line_frequency_is_another_value(kernel: Kernel) -> None:

@@ -116,9 +116,24 @@ def test_a_camera_that_does_not_start_is_a_fault_that_names_its_holder(
     offered: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     capture_of(monkeypatch, "MJPG").is_open = False
-    monkeypatch.setattr(v4l2, "holders", lambda path: ["process 7 (cheese)"])
+    set_at = list[str]()
+    monkeypatch.setattr("rcs.hardware.v4l2_pictures.holders", lambda path: ["process 7 (cheese)"])
+    monkeypatch.setattr(v4l2, "set_controls", lambda file, name, wanted: set_at.append(name))
     with pytest.raises(DeviceFault, match=r"does not start in .* It is held by process 7 \(cheese\)"):
         pictures().open()
+    assert not set_at, "the exposure stays that of the program that has it"
+
+
+def test_a_control_that_is_refused_ends_the_stream(offered: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(file: int, name: str, wanted: dict[str, Any]) -> None:
+        assert capture.values, "its stream has started"
+        raise InvalidSetup(f"{name} has no control 'gain'")
+
+    capture = capture_of(monkeypatch, "MJPG")
+    monkeypatch.setattr(v4l2, "set_controls", refuse)
+    with pytest.raises(InvalidSetup, match="webcam A1 has no control 'gain'"):
+        pictures().open()
+    assert not capture.is_open
 
 
 @pytest.mark.parametrize(
@@ -137,7 +152,7 @@ def test_why_a_file_cannot_be_opened_decides_on_the_remedy(
 
     capture_of(monkeypatch, "MJPG")
     monkeypatch.setattr("rcs.hardware.v4l2_pictures.os.open", refuse)
-    monkeypatch.setattr(v4l2, "holders", lambda path: ["process 7 (cheese)"])
+    monkeypatch.setattr("rcs.hardware.v4l2_pictures.holders", lambda path: ["process 7 (cheese)"])
     with pytest.raises(DeviceFault, match=f"/dev/video7 cannot be opened: .*{words}"):
         pictures().open()
 

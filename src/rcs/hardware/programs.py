@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 LONGEST = 80
@@ -20,3 +21,15 @@ def program_of(process: int | str) -> str:
     words = " ".join([executable.rpartition("/")[2], *arguments]).strip()
     words = words if len(words) <= LONGEST else f"{words[: LONGEST - 3]}..."
     return f"process {process} ({words})" if words else f"process {process}"
+
+
+def holders(path: str) -> list[str]:
+    """Return the other programs that have a file open, as far as this user may see them."""
+    found: list[str] = []
+    for entry in Path("/proc").glob("[0-9]*/fd/*"):
+        try:
+            if os.readlink(entry) == path and int(entry.parts[2]) != os.getpid():
+                found.append(program_of(entry.parts[2]))
+        except OSError:  # another user's, or it has ended
+            continue
+    return sorted(set(found))

@@ -17,8 +17,8 @@ from rcs.errors import DeviceFault, InvalidSetup, require_fields
 from rcs.extras import package_of
 from rcs.hardware.device_clock import DeviceClock
 from rcs.hardware.driver import Driver
+from rcs.hardware.programs import holders
 from rcs.hardware.usb import Plug, UsbDevice, usb_devices
-from rcs.hardware.v4l2 import holders
 from rcs.hardware.video_camera import LONGEST_WARM_UP, seconds
 from rcs.robots.camera import CameraDescription
 
@@ -71,6 +71,8 @@ class Realsense(Camera):
         super().__init__(f"RealSense {address}", mode)
         self._address, self._options = address, dict(options)
         self._is_recording = address.endswith((".db3", ".bag"))
+        if self._is_recording and (given := [name for name in CONTROLS if name in options]):
+            raise InvalidSetup(f"The options {given} set a camera; {address} is a recording. Leave them out.")
         self._pipeline: Any = None
         self._device: Any = None
         self._align: Any = None
@@ -78,6 +80,7 @@ class Realsense(Camera):
         self._known_calibration: CameraCalibration | None = None
         self._clock = DeviceClock(self._latency)
         self._ahead = math.nan  # of the wall clock, at the picture before
+        self._number = self._before = 0  # of the last picture, and of the last one before this connection
         self._failures = 0
         self._is_new = False  # opened, and not read yet
         self._told: dict[str, Any] = {}
@@ -128,10 +131,11 @@ class Realsense(Camera):
             self._device = self._find(rs)
             config.enable_device(self._address)
             self._choose(rs, config)
-            self._set_controls(rs)
         self._pipeline = pipeline
         profile = pipeline.start(config)
         device = profile.get_device()
+        if not self._is_recording:  # only now: it would also change the pictures of another program, which has them
+            self._set_controls(rs, device)
         color = profile.get_stream(rs.stream.color).as_video_stream_profile()
         self._known_calibration = _calibration(rs, color.get_intrinsics())
         if mode.has_depth:
@@ -141,7 +145,7 @@ class Realsense(Camera):
         names = {"model": "name", "firmware": "firmware_version", "usb": "usb_type_descriptor"}
         fields = {told: getattr(rs.camera_info, name) for told, name in names.items()}
         self._told = {told: device.get_info(field) for told, field in fields.items() if device.supports(field)}
-        self._clock, self._ahead = DeviceClock(self._latency), math.nan
+        self._clock, self._ahead, self._before = DeviceClock(self._latency), math.nan, self._number
         begin, count = time.monotonic(), 0
         while (since := time.monotonic() - begin) < self._warm_up or count < 3 or (count < 10 and since < 0.5):
             self._host_time(rs, self._frames(rs).get_color_frame(), time.monotonic())
@@ -164,8 +168,9 @@ class Realsense(Camera):
             depth = _in_millimetres(np.asanyarray(measured.get_data()), self._millimetres)
         taken, device_time = self._host_time(rs, color, arrived)
         self._failures = 0
+        self._number = self._before + color.get_frame_number()  # the library counts anew after each start
         rgb = np.array(np.asanyarray(color.get_data()), np.uint8)
-        return Frame(rgb, depth, number=color.get_frame_number(), time=taken, device_time=device_time)
+        return Frame(rgb, depth, number=self._number, time=taken, device_time=device_time)
 
     def _calibration(self) -> CameraCalibration | None:
         return self._known_calibration
@@ -249,7 +254,7 @@ class Realsense(Camera):
             raise InvalidSetup(f"{self.name} has no depth at {rate} Hz; it has {sorted({r for *_, r in depths})}.")
         config.enable_stream(rs.stream.depth, *(size if size in fitting else max(fitting)), rs.format.z16, rate)
 
-    def _set_controls(self, rs: Any) -> None:
+    def _set_controls(self, rs: Any, device: Any) -> None:
         """Set the controls of the options and read them back; leave others to the camera."""
         given = self._options
         option = rs.option
@@ -257,7 +262,7 @@ class Realsense(Camera):
         ids = {name: getattr(option, name) for name in ("exposure", "gain", "white_balance", "power_line_frequency")}
         ids["emitter"] = option.emitter_enabled
         for name in CONTROLS:
-            sensors = [one for one in self._device.query_sensors() if one.supports(ids[name])]
+            sensors = [one for one in device.query_sensors() if one.supports(ids[name])]
             colours = [one for one in sensors if any(kind == rs.stream.color for kind, *_ in _modes(rs, one))]
             sensors = sensors if name == "emitter" else colours or sensors
             switch = automatic.get(name)
@@ -267,7 +272,7 @@ class Realsense(Camera):
             if name not in given:
                 continue
             if not sensors:
-                every = self._device.query_sensors()
+                every = device.query_sensors()
                 there = [one for one in CONTROLS if any(sensor.supports(ids[one]) for sensor in every)]
                 raise InvalidSetup(f"{self.name} has no control {name!r}; it has {', '.join(there) or 'none'}.")
             scale = 1.0

@@ -8,14 +8,11 @@ from __future__ import annotations
 import errno
 import fcntl
 import math
-import os
 import struct
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.hardware.programs import program_of
 
 _QUERY, _GET, _SET = 0xC0445624, 0xC008561B, 0xC008561C
 _SIZES, _INTERVALS = 0xC02C564A, 0xC034564B
@@ -107,18 +104,6 @@ def set_controls(file: int, name: str, wanted: dict[str, Any]) -> None:
         tolerance = 0 if control == "power_line_frequency" else max(step, 1)
         if abs((kept := _read(file, _IDS[control])) - number) > tolerance:
             raise DeviceFault(f"{name} keeps {control} at {kept} when it is set to {number}")
-
-
-def holders(path: str) -> list[str]:
-    """Return the other programs that have a file open, as far as this user may see them."""
-    found: list[str] = []
-    for entry in Path("/proc").glob("[0-9]*/fd/*"):
-        try:
-            if os.readlink(entry) == path and int(entry.parts[2]) != os.getpid():
-                found.append(program_of(entry.parts[2]))
-        except OSError:  # another user's, or it has ended
-            continue
-    return sorted(set(found))
 
 
 def _number(control: str, value: Any) -> int:

@@ -17,6 +17,7 @@ from rcs.extras import package_of
 from rcs.hardware import v4l2
 from rcs.hardware.device_clock import DeviceClock
 from rcs.hardware.pictures import Picture
+from rcs.hardware.programs import holders
 from rcs.hardware.usb import Plug, UsbDevice, find, usb_devices
 
 COMPRESSED_BITS, RAW_BITS = 4, 16
@@ -68,7 +69,7 @@ class V4l2Pictures:
         return Plug(device=self._device(), needs=needs)
 
     def open(self) -> None:
-        """Find the camera, set its controls, and start its stream.
+        """Find the camera, start its stream, and set its controls.
 
         Raises:
             InvalidSetup: It is not plugged in, does not offer the mode, or lacks a control.
@@ -85,7 +86,20 @@ class V4l2Pictures:
             )
         self.serial = device.serial
         path = f"/dev/{next(node for node in device.nodes if node.startswith('video'))}"
-        self._prepare(path)
+        file = self._file(path)
+        try:
+            self._require_mode(file)
+            self._start(cv2, device, path)
+            # Only now: it would also change the pictures of another program, which has the stream.
+            v4l2.set_controls(file, f"{self._what} {self._address}", self._controls)
+        except BaseException:
+            self.close()
+            raise
+        finally:
+            os.close(file)
+
+    def _start(self, cv2: Any, device: UsbDevice, path: str) -> None:
+        """Start the stream in the mode and format."""
         os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")  # [s]; OpenCV waits ten otherwise
         mode, form = self._mode, cv2.VideoWriter.fourcc(*self._format)
         capture = cv2.VideoCapture(path, cv2.CAP_V4L2)
@@ -110,7 +124,7 @@ class V4l2Pictures:
             )
         if not capture.isOpened() or has[:2] != wants[:2] or abs(has[2] - wants[2]) > 0.5:
             capture.release()
-            held = ", ".join(v4l2.holders(path))
+            held = ", ".join(holders(path))
             raise DeviceFault(
                 f"{device} does not start in {mode.width} x {mode.height} at {mode.fps:g} Hz as {self._format}; it "
                 f"gives {has[0]} x {has[1]} at {has[2]:g} Hz. {f'It is held by {held}.' if held else ''}".strip()
@@ -158,29 +172,26 @@ class V4l2Pictures:
             cameras = [one for one in cameras if one.product == self._model]
         return find(self._address, cameras, self._what)
 
-    def _prepare(self, path: str) -> None:
-        """Set the controls, and check that the mode is offered."""
+    def _file(self, path: str) -> int:
+        """Open the camera's file."""
         try:
-            file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+            return os.open(path, os.O_RDWR | os.O_NONBLOCK)
         except OSError as err:
             remedy = "check its cable"
             if isinstance(err, PermissionError):
                 remedy = "add yourself to its group: sudo usermod -aG video $USER"
             elif err.errno == errno.EBUSY:
-                remedy = f"it is held by {', '.join(v4l2.holders(path)) or 'a program of another user'}"
+                remedy = f"it is held by {', '.join(holders(path)) or 'a program of another user'}"
             raise DeviceFault(f"{path} cannot be opened: {err.strerror}; {remedy}") from err
-        try:
-            mode, offered = self._mode, v4l2.modes(file, self._format)
-            fits = [rates for width, height, rates in offered if (width, height) == (mode.width, mode.height)]
-            # A size without a list of rates has all in a range; the one that comes of it is looked at once it streams.
-            if offered and not any(not rates or any(abs(rate - mode.fps) < 0.5 for rate in rates) for rates in fits):
-                each = "; ".join(
-                    f"{w}x{h} at {', '.join(f'{r:g}' for r in rates) or 'any'} Hz" for w, h, rates in offered
-                )
-                raise InvalidSetup(
-                    f"The {self._what} {self._address} does not offer {mode.width}x{mode.height} at {mode.fps:g} Hz as "
-                    f"{self._format}; it has {each}."
-                )
-            v4l2.set_controls(file, f"{self._what} {self._address}", self._controls)
-        finally:
-            os.close(file)
+
+    def _require_mode(self, file: int) -> None:
+        """Check that the mode is offered."""
+        mode, offered = self._mode, v4l2.modes(file, self._format)
+        fits = [rates for width, height, rates in offered if (width, height) == (mode.width, mode.height)]
+        # A size without a list of rates has all in a range; the one that comes of it is looked at once it streams.
+        if offered and not any(not rates or any(abs(rate - mode.fps) < 0.5 for rate in rates) for rates in fits):
+            each = "; ".join(f"{w}x{h} at {', '.join(f'{r:g}' for r in rates) or 'any'} Hz" for w, h, rates in offered)
+            raise InvalidSetup(
+                f"The {self._what} {self._address} does not offer {mode.width}x{mode.height} at {mode.fps:g} Hz as "
+                f"{self._format}; it has {each}."
+            )
