@@ -20,6 +20,7 @@ from rcs.envs.cameras import Cameras
 from rcs.envs.setup import Setup
 from rcs.errors import MissingDependency
 from rcs.hardware import FakeDriver
+from rcs.hardware.finding import Finding
 from rcs.hardware.machine import examine_file, examine_machine, examine_network, host_of
 from rcs.hardware.usb import Plug, UsbDevice, find
 from rcs.robots.camera import CameraDescription, CameraMount, looking
@@ -337,6 +338,17 @@ def test_a_name_without_an_address_is_a_fault_and_that_of_a_host_is_resolved(mon
     (found,) = examine_network("arm.lab", "franka", packets=5)
     assert (found.part, found.status) == ("network arm.lab", "fault")
     assert "Name or service not known" in found.message and "IP address" in found.remedy
+
+
+def test_a_device_whose_file_has_a_warning_is_examined_all_the_same(
+    site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    warning = Finding(part="fr3", status="warning", message="/dev/ttyUSB0 is a number")
+    monkeypatch.setattr(module, "examine_file", lambda part, path: [warning])
+    site.write_text(json.dumps({"arms": {"fr3": {"driver": DRIVER, "address": "/dev/ttyUSB0"}}}))
+    code, found = examined(site, capsys)
+    assert code == 0
+    assert {one["status"] for one in found if one["part"] == "fr3"} == {"warning", "ok"}
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf"])

@@ -7,8 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from rcs.hardware import Site
-from rcs.hardware.plugged_in import site_lines
+from rcs.hardware.plugged_in import lasting_name, site_lines
 from rcs.hardware.usb import UsbDevice
 
 
@@ -45,6 +47,25 @@ def test_each_device_is_a_line_of_a_site_without_a_number_that_changes(tmp_path:
     assert entries[5] == ("arms", {"driver": "so101", "address": "usb:2-5"})
     assert "SO101" in lines[3] and "now /dev/ttyACM0" in lines[3] and "GELLO" in lines[4]
     assert '"realsense"' in lines[6] and "5000 Mbit/s" in lines[6]
+
+
+def test_devices_with_one_serial_number_are_told_apart_by_their_places(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "by-id").mkdir()
+    (tmp_path / "by-id/usb-0001").symlink_to("../../ttyUSB1")
+    devices = [
+        UsbDevice(path="1-2", serial="0001", product="Webcam", nodes=("video0",)),
+        UsbDevice(path="1-3", serial="0001", product="Webcam", nodes=("video2",)),
+        UsbDevice(path="1-4", serial="0001", product="USB Serial", nodes=("ttyUSB1",)),
+        UsbDevice(path="1-5", serial="A2", product="USB Serial", nodes=("ttyUSB2",)),
+    ]
+    lines = site_lines(devices, tmp_path)
+    assert [line.split('"address": "')[1].split('"')[0] for line in lines] == ["usb:1-2", "usb:1-3", "usb:1-4", "A2"]
+    monkeypatch.setattr("rcs.hardware.plugged_in.usb_devices", lambda: devices)
+    monkeypatch.setattr("rcs.hardware.plugged_in.LINKS", tmp_path)
+    names = [lasting_name(f"/dev/ttyUSB{i}") for i in range(3)]
+    assert names == ["", "usb:1-4", "A2"]
 
 
 def test_nothing_is_said_to_be_nothing() -> None:

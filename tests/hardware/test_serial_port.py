@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pty
 import subprocess
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.hardware.serial_port import claim, port_at
+from rcs.hardware.serial_port import claim, group_of, port_at
 from rcs.hardware.usb import UsbDevice
 
 
@@ -82,3 +83,26 @@ def test_a_port_that_may_not_be_used_is_told_with_its_group(port: str, monkeypat
     monkeypatch.setattr("os.open", refuse)
     with pytest.raises(DeviceFault, match=rf"You may not use the hand at .*usermod -aG {group} \$USER"):
         claim(port, "hand")
+
+
+@pytest.mark.parametrize(
+    ("others", "who"), [(["process 7 (screen)"], r"process 7 \(screen\)"), ([], "another program")]
+)
+def test_a_port_that_another_program_has_for_itself_is_told_with_that_program(
+    port: str, monkeypatch: pytest.MonkeyPatch, others: list[str], who: str
+) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(errno.EBUSY, "Device or resource busy")
+
+    monkeypatch.setattr("os.open", refuse)
+    monkeypatch.setattr("rcs.hardware.serial_port.holders", lambda path: others)
+    with pytest.raises(DeviceFault, match=rf"The hand at {port} is in use by {who}; end it first"):
+        claim(port, "hand")
+
+
+def test_a_group_without_a_name_is_its_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(path: Path) -> str:
+        raise KeyError("getgrgid(): gid not found: 4711")
+
+    monkeypatch.setattr(Path, "group", unknown)
+    assert group_of(str(tmp_path)) == str(tmp_path.stat().st_gid)

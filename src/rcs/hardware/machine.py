@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 import os
 import platform
+import re
 import resource
 import select
 import socket
@@ -17,6 +18,8 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from rcs.hardware.finding import Finding
+from rcs.hardware.plugged_in import lasting_name
+from rcs.hardware.serial_port import group_of
 from rcs.hardware.usb import BY_PATH
 
 PACKETS = 1000
@@ -30,6 +33,7 @@ RATES = {"franka": 1000.0, "ur": 500.0, "xarm": 250.0}
 NAMED = (*RATES, "robotiq")
 """Drivers whose address may be the name of a host."""
 _ECHO, _ANSWER = 8, 0
+_NUMBERED = re.compile(r"/dev/tty(USB|ACM)\d+")
 
 
 def examine_machine(root: Path = Path("/sys")) -> list[Finding]:
@@ -69,19 +73,22 @@ def examine_machine(root: Path = Path("/sys")) -> list[Finding]:
 
 
 def examine_file(part: str, path: str) -> list[Finding]:
-    """Return findings about a file in `/dev` that a device needs: it exists, and this user may use it."""
+    """Return findings about a file in `/dev` that a device needs: it exists, lasts, and this user may use it."""
     if not os.path.exists(path):
         remedy = "plug it in; `rcs list --devices` shows what is there"
         return [Finding(part=part, status="fault", message=f"{path} does not exist", remedy=remedy)]
     if os.access(path, os.R_OK | os.W_OK):
-        return []
-    group = Path(path).group()
+        if not _NUMBERED.fullmatch(path):
+            return []
+        message = f"the number in {path} changes with the order of plugging"
+        remedy = f"write {lasting_name(path) or 'its serial number or place'} in its stead in the site file"
+        return [Finding(part=part, status="warning", message=message, remedy=remedy)]
     return [
         Finding(
             part=part,
             status="fault",
             message=f"{path} may not be used by this user",
-            remedy=f"sudo usermod -aG {group} $USER, then log in again",
+            remedy=f"sudo usermod -aG {group_of(path)} $USER, then log in again",
         )
     ]
 
@@ -185,8 +192,10 @@ def _collect(echo: socket.socket, sent: dict[int, float], delays: list[float], u
         now = time.monotonic()
         if echo.type == socket.SOCK_RAW:  # with the header of IP
             answer = answer[4 * (answer[0] & 0xF) :]
-        kind, _, _, _, number = struct.unpack(">BBHHH", answer[:8])
-        if kind == _ANSWER and number in sent:
+        kind, _, _, identifier, number = struct.unpack(">BBHHH", answer[:8])
+        # A raw socket gets the answers to all programs; of a datagram socket, the kernel chooses the identifier.
+        is_ours = echo.type != socket.SOCK_RAW or identifier == os.getpid() & 0xFFFF
+        if kind == _ANSWER and is_ours and number in sent:
             delays.append(now - sent.pop(number))
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rcs.errors import MissingDependency
@@ -32,7 +34,7 @@ def site_lines(devices: Sequence[UsbDevice] | None = None, links: Path = LINKS) 
     """
     found: list[str] = []
     serials = _realsense_serials()
-    for one in usb_devices() if devices is None else devices:
+    for one in _told_apart(usb_devices() if devices is None else devices):
         is_video = any(node.startswith("video") for node in one.nodes)
         if one.vendor_id == INTEL and REALSENSE in one.product:
             address = serials.get(one.path, "")
@@ -46,6 +48,20 @@ def site_lines(devices: Sequence[UsbDevice] | None = None, links: Path = LINKS) 
             kind, driver, what = SERIAL_CHIPS.get(one.vendor_id, ("arms", "DRIVER", "a serial port"))
             found.append(_line(kind, driver, _link(one, port, links), f"{what}, now /dev/{port}: {one}"))
     return found or ["Nothing is plugged in that a driver takes: no camera, DIGIT or serial port on USB."]
+
+
+def lasting_name(path: str) -> str:
+    """Return a lasting address of the serial port at a path such as `/dev/ttyUSB0`; empty if it is on no USB bus."""
+    for one in _told_apart(usb_devices()):
+        if (port := port_of(one)) and f"/dev/{port}" == path:
+            return _link(one, port, LINKS)
+    return ""
+
+
+def _told_apart(devices: Sequence[UsbDevice]) -> list[UsbDevice]:
+    """Return devices without serial numbers that more than one has, which leaves them their places."""
+    counts = Counter(one.serial for one in devices)
+    return [replace(one, serial="") if counts[one.serial] > 1 else one for one in devices]
 
 
 def _line(kind: str, driver: str, address: str, what: str) -> str:

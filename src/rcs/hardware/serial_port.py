@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 from pathlib import Path
 
 from rcs.errors import DeviceFault
-from rcs.hardware.programs import program_of
+from rcs.hardware.programs import holders, program_of
 from rcs.hardware.usb import UsbDevice, find, usb_devices
 
 
@@ -45,12 +46,14 @@ def claim(address: str, what: str) -> int:
     try:
         file = os.open(address, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     except PermissionError as err:
-        group = Path(address).group() if os.path.exists(address) else "dialout"
+        group = group_of(address) if os.path.exists(address) else "dialout"
         raise DeviceFault(
             f"You may not use the {what} at {address}: {err.strerror}. Join the port's group and log in again: "
             f"sudo usermod -aG {group} $USER."
         ) from err
     except OSError as err:
+        if err.errno == errno.EBUSY:  # the other program has opened it for itself alone
+            raise DeviceFault(f"The {what} at {address} is in use by {_holder(address)}; end it first.") from err
         raise DeviceFault(
             f"There is no {what} at {address}: {err.strerror}. Check the cable. Plugged in: "
             f"{'; '.join(f'{one}, /dev/{port_of(one)}' for one in _with_ports()) or 'no serial port on USB'}."
@@ -63,15 +66,23 @@ def claim(address: str, what: str) -> int:
     return file
 
 
+def group_of(path: str) -> str:
+    """Return the group of a file: its name, or its number where it has none, as in a container."""
+    try:
+        return Path(path).group()
+    except KeyError:
+        return str(os.stat(path).st_gid)
+
+
 def _with_ports() -> list[UsbDevice]:
     return [one for one in usb_devices() if port_of(one)]
 
 
 def _holder(address: str) -> str:
-    """Return the process that has locked a port, if the system reveals it."""
+    """Return the process that has locked a port, or else those that have it open, if the system reveals them."""
     wanted = str(os.stat(address).st_ino)
     for line in Path("/proc/locks").read_text().splitlines():
         words = line.split()
         if words[1] == "FLOCK" and words[5].rpartition(":")[2] == wanted:
             return program_of(words[4])
-    return "another program"
+    return ", ".join(holders(os.path.realpath(address))) or "another program"

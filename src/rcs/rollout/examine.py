@@ -18,7 +18,7 @@ from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, MissingDependency, RcsError, UnknownName
 from rcs.hardware.devices import Devices
 from rcs.hardware.finding import Finding
-from rcs.hardware.machine import examine_file, examine_machine, examine_network, host_of
+from rcs.hardware.machine import examine_file, examine_machine, examine_network, host_of, worst
 from rcs.hardware.site import KINDS, AnyDevice, DeviceAddress, Site
 from rcs.hardware.usb import require_plugs
 from rcs.setups.resolve import devices_of, resolve, with_camera_names
@@ -92,8 +92,9 @@ def _entries(site: Site, setup: Setup) -> tuple[Site, list[Finding]]:
         for name, entry in getattr(site, kind).items():
             part = f"{name}/{kind[:-1]}" if kind in ("grippers", "hands") else name
             is_file = isinstance(entry, DeviceAddress) and entry.address.startswith("/dev/")
-            if is_file and (faults := examine_file(part, entry.address)):
-                found += faults
+            files = examine_file(part, entry.address) if is_file else []
+            found += files
+            if worst(files) == "fault":
                 continue
             alone = replace(site, **{**{one: {} for one in KINDS}, kind: {name: entry}})
             try:
