@@ -5,12 +5,12 @@
 The experiment of the paper's figure on frequencies: cameras of 1280 x 720 px at 30 frames/s, DIGITs of 320 x 240 px at
 60, one or two arms with hands, everything recorded, a scripted operator that moves a joint to and fro. A virtual robot
 draws its cameras on the same machine, so run this on one with enough processors; `processors` says how many there were.
-`--tactile 2` puts two DIGITs on each arm; `tactile` says how many are read.
+`--tactile 2` puts two DIGITs on each arm, four on two; `tactile` says how many are read.
 
-Prints one line of JSON per rate: `rate_hz` and `std_hz` (mean and standard deviation of 1 / period), `period_p50_ms`,
-`period_p99_ms` (of the deviation from the wanted period), `silent_drops` (steps that are neither in the recording nor
-counted as dropped), `dropped_images`, the age of frames at the end of steps, and `age_error_p99_ms`, by how much it is
-off the moment at which the virtual world was drawn. `--figure FILE.svg` draws the figure.
+Prints one line of JSON per rate: `rate_hz` (1 / mean period) and `std_hz` (standard deviation of 1 / period),
+`period_p50_ms`, `period_p99_ms` (of the deviation from the wanted period), `silent_drops` (steps that are neither in
+the recording nor counted as dropped), `dropped_images`, the age of frames at the end of steps, and `age_error_p99_ms`,
+by how much it is off the moment at which the virtual world was drawn. `--figure FILE.svg` draws the figure.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -57,12 +57,12 @@ STROKE = 0.2
 class Options:
     """Options of the benchmark."""
 
-    arms: int = 1
-    """One or two arms."""
-    cameras: int = 2
-    """Number of cameras, up to four."""
-    tactile: int = 0
-    """Number of DIGITs on each arm: 0 or 2."""
+    arms: Literal[1, 2] = 1
+    """Number of arms."""
+    cameras: Literal[0, 1, 2, 3, 4] = 2
+    """Number of cameras."""
+    tactile: Literal[0, 2] = 0
+    """Number of DIGITs on each arm."""
     rates: tuple[float, ...] = (10.0, 30.0, 60.0, 90.0, 120.0, 150.0, 200.0)
     """Control rates [Hz]."""
     steps: int = 1000
@@ -118,7 +118,7 @@ def measure(setup: rcs.Setup, site: Site, rate: float, steps: int, out: Path) ->
     errors = [age_errors(episode, name) for name in (*site.cameras, *site.tactile)]
     return {
         "wanted_hz": rate,
-        "rate_hz": float((1.0 / periods).mean()),
+        "rate_hz": 1.0 / float(periods.mean()),
         "std_hz": float((1.0 / periods).std()),
         "period_p50_ms": 1e3 * float(np.percentile(late, 50)),
         "period_p99_ms": 1e3 * float(np.percentile(late, 99)),

@@ -8,7 +8,8 @@ it.
 
 Prints one line of JSON: `picked` of `episodes`; `within` (3 mm and 2 degrees of the seed's pose) of `tries` to set a
 cuboid down; how far the worst was off, of those within 20 mm and 10 degrees; `why` others were placed by the world;
-`faults` after which the collection went on; and how many episodes `replayed` in simulation with success.
+`faults` after which the collection went on; how many episodes `replayed` in simulation with success; and the `problems`
+of the others, by what they say.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ def main(options: Options) -> None:
                 pass
         episodes = Dataset.open(out).episodes
         placed = [episode.outcome["placed"] for episode in episodes]
-        replayed = sum(one.success for one in reexecute(out, Path(folder) / "again", kind="states"))
+        again = list(reexecute(out, Path(folder) / "again", kind="states"))
     tries = [one for one in placed if one.get("why") != "no success before"]
     by_robot = [one for one in tries if one["by"] == "robot"]
     print(
@@ -88,7 +89,8 @@ def main(options: Options) -> None:
                 "worst_deg": max((one["off_deg"] for one in by_robot), default=None),
                 "why": Counter(one["why"] for one in tries if one["by"] != "robot"),
                 "faults": supervisor.faults,
-                "replayed": replayed,
+                "replayed": sum(one.success for one in again),
+                "problems": Counter(one.problem or "no success" for one in again if not one.success),
             }
         )
     )
