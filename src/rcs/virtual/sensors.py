@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import struct
 import subprocess
 import sys
@@ -42,8 +43,8 @@ FAULTS: Mapping[str, str] = {
 }
 """Faults of a sensor: no picture for S seconds; pictures MS milliseconds late; a share P of pictures lost; black
 pictures; pictures with their end missing; unplugged for S seconds; another sensor's pictures and serial number."""
-END = 5.0
-"""Timeout for the start of the process's answers and for its end [s]."""
+START, END = 60.0, 5.0
+"""Timeouts for the process's start, in which a busy machine composes its world, and for its answers and its end [s]."""
 _HEAD = struct.Struct("qd")
 
 
@@ -109,10 +110,12 @@ class VirtualSensors:
             text=True,
         )
         about = {"setup": setup.to_json(), "file": self._shared.file, "size": size}
-        told = self._ask(about)
+        told = self._ask(about, START)
         if "port" not in told:
             self.close()
-            raise InvalidSetup(f"The cameras of the virtual world do not start: {told.get('error', 'see above')}")
+            raise InvalidSetup(
+                f"The cameras of the virtual world do not start: {told.get('error', 'no answer, or see above')}"
+            )
         self._port: int = told["port"]
         self._cameras: Sequence[str] = told["cameras"]
         self._skins: Mapping[str, str] = told["tactile"]
@@ -177,12 +180,15 @@ class VirtualSensors:
             self._process.stdout.close()
             os.close(self._shared.file)
 
-    def _ask(self, words: Mapping[str, Any]) -> dict[str, Any]:
+    def _ask(self, words: Mapping[str, Any], limit: float = END) -> dict[str, Any]:
+        """Return the answer of the process; empty if it has ended, or is killed because it gives none in time [s]."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         try:
             self._process.stdin.write(json.dumps(words) + "\n")
             self._process.stdin.flush()
+            if not select.select([self._process.stdout], [], [], limit)[0]:
+                self._process.kill()
             line = self._process.stdout.readline()
         except (OSError, ValueError):  # it has ended
             return {}
