@@ -26,9 +26,10 @@ from rcs.hardware.robotiq_lines import RobotiqStatus
 from rcs.hardware.servo_bus import ServoBus
 from rcs.hardware.so101 import So101Arm, So101Options
 from rcs.hardware.so101_servos import MotorCalibration, Reading
+from rcs.hardware.tilburg import TilburgDriver
 from rcs.hardware.ur import UrArm, UrDriver
 from rcs.hardware.xarm import AT_REST, XarmArm, XarmDriver
-from rcs.robots import FR3, FRANKA_HAND, ROBOTIQ_2F85, SO101, UR5E, XARM7
+from rcs.robots import FR3, FRANKA_HAND, ROBOTIQ_2F85, SO101, TILBURG_HAND, UR5E, XARM7
 from rcs.robots.description import ArmDescription
 
 
@@ -374,3 +375,15 @@ def test_an_fr3_that_is_not_led_is_at_fault_when_the_controller_is(
         arm._stop()
     arm._read()
     assert ("a reflex" in str(arm.fault)) == has_stopped
+
+
+def test_the_calibration_file_of_a_tilburg_hand_must_be_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    options, file = {"calibration": "~/left.json"}, tmp_path / "left.json"
+    with pytest.raises(
+        InvalidSetup, match=f"no calibration file {file.resolve()}; correct the option, or leave it out"
+    ):
+        TilburgDriver().hand("/dev/null", TILBURG_HAND, options)
+    file.touch()
+    hand: Any = TilburgDriver().hand("/dev/null", TILBURG_HAND, options)
+    assert hand._calibration == str(file.resolve())

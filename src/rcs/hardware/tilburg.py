@@ -102,11 +102,14 @@ class TilburgHand(Hand):
         given = TilburgOptions.from_json(options)
         if not address:
             raise InvalidSetup("The Tilburg Hand has no address; give the serial number of its adapter, or its port.")
+        file = None if given.calibration is None else Path(given.calibration).expanduser().resolve()
+        if file is not None and not file.is_file():  # the library would use its default, and only print so
+            raise InvalidSetup(f"There is no calibration file {file}; correct the option, or leave it out.")
         super().__init__(f"{about.name} at {address}", len(about.joints))
         self._address = self._path = address
         self._joints = about.joints
-        self._current, self._side, self._calibration = round(given.current), given.side, given.calibration
-        self._releases = given.at_close == "release"
+        self._current, self._side, self._releases = round(given.current), given.side, given.at_close == "release"
+        self._calibration = None if file is None else str(file)
         self._bus = threading.RLock()  # `hold` comes from any thread
         self._library: Any = None
         self._motors: Sequence[int] = ()
