@@ -117,6 +117,13 @@ def test_hardware_that_makes_no_sense_is_refused(hardware: Any, error: type[Exce
         rcs.make("Free", hardware=hardware)
 
 
+def test_a_camera_or_tactile_sensor_has_no_host() -> None:
+    given = {"driver": "fake", "options": {"host": "maybe"}}
+    for site in (Site(cameras={"side": given}), Site(tactile={"fr3_left": given})):
+        with pytest.raises(InvalidSetup, match="no option of a fake device named 'host'"):
+            rcs.make("Free", cameras=("side",), tactile="digit", hardware=site)
+
+
 def test_one_arm_is_not_two() -> None:
     with pytest.raises(InvalidSetup, match=r"'left' and 'right' are both at fake:192\.0\.2\.1"):
         rcs.make("Free", robot="dual_fr3", hardware="fake:192.0.2.1")

@@ -45,8 +45,8 @@ class DeviceAddress:
     address: str = ""
     """IP address, serial port or serial number, in the form that the driver takes."""
     options: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """Options of the driver, as JSON values. `host` (true or false) selects whether the device runs in a separate
-    process; by default, the driver decides."""
+    """Options of the driver, as JSON values. `host` (true or false) selects whether an arm, gripper or hand runs in a
+    separate process; by default, the driver decides."""
 
     def __post_init__(self) -> None:
         """Check every field.
@@ -315,7 +315,8 @@ def _made(drivers: dict[str, Driver], given: AnyDevice, kind: str, *about: Any) 
     device: Any = given
     if isinstance(given, DeviceAddress):
         driver = _driver(drivers, given.driver)
-        options = {name: value for name, value in given.options.items() if name != "host"}
+        runs_here = kind in ("camera", "tactile")  # so that the option `host` has no meaning, and the driver refuses it
+        options = {name: value for name, value in given.options.items() if runs_here or name != "host"}
         device = getattr(driver, kind)(given.address, *about, options)
         if isinstance(device, Arm | Gripper | Hand) and is_hosted(driver, given.options):
             device = hosted(device, _place(driver, given), about[0], options, driver.host_times)
