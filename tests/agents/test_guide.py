@@ -79,13 +79,15 @@ def test_the_target_moves_no_faster_than_a_person_may_be_beside_it() -> None:
         goal = guide.tcp_in_scene
         goal[:3] += 0.0, 0.25, -0.1
         guide.lead_to(goal)
-        targets = [guide.tcp_in_scene[:3]]
+        targets = places = [guide.tcp_in_scene[:3]]
         for _ in range(30):
             session.step()
-            targets.append(session.info["target"]["tquat"][:3])
+            targets = [*targets, session.info["target"]["tquat"][:3]]
+            places = [*places, guide.tcp_in_scene[:3]]
         steps = np.linalg.norm(np.diff(targets, axis=0), axis=1)
         assert steps[1:].max() <= SPEED / 30 + 1e-6
         assert steps[1:].max() == pytest.approx(SPEED / 30, rel=1e-3)
+        assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() <= 0.25 / 30
 
 
 def test_sliders_of_joints_lead_the_joints_in_a_straight_line_below_their_limits() -> None:

@@ -18,7 +18,7 @@ class LeadOptions(Record):
     front: Annotated[float, Meta(ge=-360, le=360)] = 0.0
     """Direction of the device's frame that is the robot's front [degrees], counterclockwise from its x axis: 180 for a
     person who faces the robot. The button `front` sets it to where the hand points."""
-    speed: Annotated[float, Meta(gt=0, le=2)] = 0.84 * SPEED
+    speed: Annotated[float, Meta(gt=0, le=2)] = SPEED
     """Largest speed of the TCP's target [m/s]. The TCP exceeds it by up to 19 % where it catches up; the default keeps
     the TCP at the 0.25 m/s of ISO 10218-1."""
     turn_speed: Annotated[float, Meta(gt=0, le=6)] = TURN_SPEED
