@@ -201,6 +201,7 @@ def test_a_twin_of_what_is_not_in_real_time_is_refused() -> None:
         (lambda env: Twin(env.robots, limit=0.0), "limit is 0.0"),
         (lambda env: Twin({}), "0 robots"),
         (lambda env: rcs.attach_twin(env, on_alarm="ring").__enter__(), "on_alarm is 'ring'"),
+        (lambda env: rcs.attach_twin(env, on_alarm="hold").__enter__(), "simulated robots hold"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(make: Callable[[Env], Any], words: str) -> None:

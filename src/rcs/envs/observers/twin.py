@@ -221,7 +221,7 @@ def attach_twin(
         The twin, whose `comparisons` have errors and lag.
 
     Raises:
-        InvalidSetup: The environment is not in real time, or an option is not valid.
+        InvalidSetup: The environment is not in real time, an option is not valid, or there are no devices to hold.
 
     Example:
         >>> import rcs
@@ -240,6 +240,8 @@ def attach_twin(
         )
     if isinstance(on_alarm, str) and on_alarm not in ("info", "hold"):
         raise InvalidSetup(f"on_alarm is {on_alarm!r}; valid: 'info', 'hold', or a function.")
+    if on_alarm == "hold" and all(port.device is None for port in env.stack.ports):
+        raise InvalidSetup("An alarm cannot make simulated robots hold; use hardware=..., or on_alarm='info'.")
     call = _hold_all(env) if on_alarm == "hold" else None if on_alarm == "info" else on_alarm
     twin = Twin(env.robots, limit=limit, longest_lag=longest_lag, on_alarm=call)
     observer = InBackground(twin)
@@ -255,10 +257,8 @@ def _hold_all(env: Env) -> Callable[[Alarm], None]:
     """Return what has all devices of an environment hold, from any thread."""
 
     def hold(alarm: Alarm) -> None:
-        devices = [port.device for port in env.stack.ports if port.device is not None]
-        for device in devices:
-            device.set_fault(f"twin: {alarm}")
-        if not devices:
-            env.hold()
+        for port in env.stack.ports:
+            if port.device is not None:
+                port.device.set_fault(f"twin: {alarm}")
 
     return hold
