@@ -121,6 +121,11 @@ def test_plain_http_is_told_what_to_do(gateway: Gateway) -> None:
 
 
 def test_rubbish_and_silence_harm_nobody(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Gateway("127.0.0.1", 0, behind=1) as plain:
+        for line, origin in ((b"GET http://[ HTTP/1.1", b"http://localhost"), (b"GET / HTTP/1.1", b"http://[")):
+            with socket.create_connection(("127.0.0.1", plain.port), timeout=20) as connection:
+                connection.sendall(line + b"\r\nUpgrade: websocket\r\nOrigin: " + origin + b"\r\n\r\n")
+                assert connection.recv(1000).startswith(b"HTTP/1.1 400")
     monkeypatch.setattr(gateways, "GREETING", 0.2)
     silent = socket.create_connection(("127.0.0.1", gateway.port))
     for rubbish in (b"\x16\x03\x01rubbish", b"\x00" * 100, b"GET"):

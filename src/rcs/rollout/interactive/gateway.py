@@ -157,9 +157,12 @@ class Gateway(Closing):
     async def _answer_to(self, head: bytes) -> tuple[str, bytes | None]:
         """Return the path of a request, and the answer if it is not passed on."""
         line, _, fields = head.decode("latin-1").partition("\r\n")
-        address = urlsplit(line.split(" ")[1] if line.count(" ") == 2 else "/")
         origin, host = _field(fields, "origin"), _field(fields, "host")
-        if _field(fields, "upgrade") and origin and urlsplit(origin).netloc.lower() != host.lower():
+        try:
+            address, site = urlsplit(line.split(" ")[1] if line.count(" ") == 2 else "/"), urlsplit(origin).netloc
+        except ValueError:
+            return "/", _answer("400 Bad Request", b"This is no address.\n", kind="text/plain")
+        if _field(fields, "upgrade") and origin and site.lower() != host.lower():
             return address.path, _answer("403 Forbidden", b"Another site has no business here.\n", kind="text/plain")
         if self._code is None:
             words = b"This name is not the program's; open the address that it shows, at http://localhost.\n"
