@@ -115,6 +115,11 @@ def test_requests_are_told_also_when_the_device_is_silent_or_the_hand_lost_right
         assert (news.reading is None) is (last is None)
 
 
+def test_a_request_that_shows_first_after_a_silence_is_not_lost_and_what_a_hand_holds_was_not_pressed() -> None:
+    _, news = fed(reading(0.0, held(GOOD.pose, "failure")), reading(1.0, held(GOOD.pose, "failure", "stop", "clutch")))
+    assert news[1].pressed == {"right": ["stop"]}
+
+
 def test_a_hand_that_is_out_of_sight_makes_requests_and_one_that_was_not_there_makes_none() -> None:
     unseen = HandReading(is_tracked=False)
     _, news = fed(reading(0.0, unseen), reading(0.01, replace(unseen, buttons=frozenset({"takeover", "clutch"}))))

@@ -41,7 +41,7 @@ PATIENCE = 2.0
 SILENT = "no reading yet"
 
 REQUESTS = tuple(button for button in BUTTONS if button not in OF_HANDS)
-"""Buttons that count also while nobody knows where the hand is."""
+"""Buttons that count also while nobody knows where the hand is, and after a silence."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,15 +180,15 @@ class Feed(Closing):
             self.readings += 1
             is_fresh = last is not None and reading.time - last.time <= self.device.valid_for
             for name, hand in reading.hands.items():
-                before = None if last is None or not is_fresh else last.hands.get(name)
-                if why := _break_of(hand, before):
+                known = None if last is None else last.hands.get(name)
+                if why := _break_of(hand, known if is_fresh else None):
                     self._broken[name] = why
                     # The clutch has to be pressed after that.
                     self._pressed[name] = [button for button in self._pressed.get(name, ()) if button != "clutch"]
                 # Of the first reading, nobody knows since when its buttons are held, nor of one that was lost before.
-                if before is not None and before.is_there and hand.is_there:
-                    counting = BUTTONS if before.is_tracked and hand.is_tracked else REQUESTS
-                    risen: list[Button] = [button for button in counting if button in hand.buttons - before.buttons]
+                if known is not None and known.is_there and hand.is_there:
+                    counting = BUTTONS if is_fresh and known.is_tracked and hand.is_tracked else REQUESTS
+                    risen: list[Button] = [button for button in counting if button in hand.buttons - known.buttons]
                     self._pressed.setdefault(name, []).extend(risen)
             if not is_fresh and last is not None:
                 self._broken.update(dict.fromkeys(reading.hands, f"silent for {reading.time - last.time:.2f} s"))
