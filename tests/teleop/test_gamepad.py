@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import glob
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from rcs.errors import DeviceFault, InvalidSetup
+from rcs.teleop import gamepad
 from rcs.teleop.device import HandReading
 from rcs.teleop.gamepad import SPEED, TURN_SPEED, Gamepad, hand_of
 
@@ -53,6 +55,17 @@ def test_buttons_and_the_trigger() -> None:
 def test_an_address_that_is_no_number_is_refused() -> None:
     with pytest.raises(InvalidSetup, match="number"):
         Gamepad("xbox")
+
+
+def test_only_gamepads_that_may_not_be_read_are_named_with_the_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = {"event3": 1 << 0x130, "event4": 1 << 30}  # BTN_SOUTH, and a keyboard
+    monkeypatch.setattr(gamepad, "keys_of", keys.__getitem__)
+    monkeypatch.setattr(Path, "glob", lambda own, pattern: [own / name for name in keys if Path(name).match(pattern)])
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    words = gamepad._why_none([])
+    assert "You may not read /dev/input/event3. Allow it" in words
+    keys["event3"] = 0
+    assert gamepad._why_none([]) == "Plug it in, or pair it."
 
 
 class Virtual:

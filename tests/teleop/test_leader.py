@@ -60,7 +60,7 @@ def test_an_so101_leader_says_its_joints_and_is_without_torque(feetech: Bus) -> 
         assert hand.opening == pytest.approx(0.5)
         assert hand.pose is None and hand.twist is None
         assert set(feetech.tell()["torque"].values()) == {False}
-        assert device.hands == ("right",) and not device.has_clutch
+        assert device.hands == ("right",) and not device.has_clutch and device.motion == ("joints", 5)
         assert device.read().time > reading.time
 
 

@@ -26,6 +26,7 @@ E: SUBSYSTEM=input
 A: name=PCsensor FootSwitch
 A: id/vendor=3553
 A: id/product=b001
+A: capabilities/key=1000000000007 ff800000000007ff febeffdff3cfffff fffffffffffffffe
 
 P: /devices/usb/input/input5/event5
 N: input/event5
@@ -34,6 +35,17 @@ E: SUBSYSTEM=input
 L: device=../../input5
 
 """
+"""The part of a pedal that types."""
+
+
+def beside(number: int, keys: str) -> str:
+    """Return the description of another part of the pedal, which has other keys."""
+    typing = "1000000000007 ff800000000007ff febeffdff3cfffff fffffffffffffffe"
+    return DESCRIPTION.replace(typing, keys).replace("input5", f"input{number}").replace("event5", f"event{number}")
+
+
+PARTS = DESCRIPTION + beside(6, "1f0000 0 0 0 0") + beside(7, "3007f 0 0 483ffff17aff32d bfd4444600000000 0 0 0")
+"""A whole pedal: its keys, its mouse and its media keys."""
 
 
 def event(kind: int, code: int, value: int) -> bytes:
@@ -48,7 +60,7 @@ def keys(*changes: tuple[int, int, int]) -> dict[str, list[tuple[int, bytes]]]:
 @pytest.mark.extras
 def test_a_pedal_is_found_and_read_through_the_kernels_files(read_mocked) -> None:
     inputs = keys((200, A, 1), (200, A, 0), (200, B, 1), (0, B, 0))
-    lines = read_mocked("rcs.teleop.pedal:Pedal", seconds=1.2, description=DESCRIPTION, inputs=inputs)
+    lines = read_mocked("rcs.teleop.pedal:Pedal", seconds=1.2, description=PARTS, inputs=inputs)
     assert lines[0] == {"open": True}
     seen = [tuple(line["hands"]["right"]["buttons"]) for line in lines[1:] if "hands" in line]
     changes = [buttons for buttons, before in zip(seen, [None, *seen], strict=False) if buttons != before]
@@ -89,6 +101,19 @@ def test_a_file_that_is_no_input_device_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pedal")
     with pytest.raises(DeviceFault, match="is no foot pedal"):
         Pedal(str(tmp_path / "pedal")).open()
+
+
+def test_a_link_that_may_not_be_read_names_the_rule_of_its_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    (tmp_path / "by-id").symlink_to("/dev/input/event5")
+    monkeypatch.setattr("rcs.teleop.input_events.line_of", lambda path: path.parts[-3])
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(DeviceFault, match=r'ATTRS\{name\}=="event5"'):
+        InputEvents(str(tmp_path / "by-id"), "foot pedal").open()
 
 
 class Still(InputDevice):
@@ -183,6 +208,21 @@ def test_beside_any_other_device_only_its_clutch_does_not_count() -> None:
         foot.feed(event(1, A, 1) + event(1, C, 1))
         soon_has(device, "left", "clutch", "gripper")
         soon_asks(device, "start")
+
+
+def test_every_key_of_a_pedal_with_one_switch_may_be_the_clutch() -> None:
+    with Foot("clutch") as foot:
+        foot.open()
+        foot.feed(event(1, B, 1))
+        soon_has(foot, "right", "clutch")
+
+
+def test_two_devices_have_the_button_takeover_if_one_has() -> None:
+    leading = Still()
+    assert WithButtons(leading, Foot()).has_takeover
+    leading.has_takeover = False
+    assert not WithButtons(leading, Foot()).has_takeover
+    assert WithButtons(leading, Still()).has_takeover
 
 
 def test_what_of_the_second_device_was_left_out_is_counted_too() -> None:

@@ -34,6 +34,9 @@ BUTTONS: tuple[Button, ...] = get_args(Button)
 OF_HANDS: frozenset[Button] = frozenset({"clutch", "gripper", "front"})
 """Meanings that concern a hand; the others are requests."""
 
+Motion = tuple[Literal["pose", "twist", "joints"], int]
+"""What a device measures of the motion of a hand, and how many numbers that has."""
+
 POLL = 0.1
 """Longest time that `read` waits [s]."""
 
@@ -92,6 +95,10 @@ class InputDevice(Closing, ABC):
     """False for leaders without any button: they engage when they were moved and are still for a second, near the
     follower's joints.
     A device with buttons alone, such as a pedal, gives readings of `hands` without pose, twist or joints."""
+    has_takeover: bool = True
+    """Whether one of its buttons may mean `takeover`."""
+    motion: Motion = ("pose", 7)
+    """Which of `pose`, `twist` and `joints` its readings have, and of how many numbers, for recordings."""
 
     @property
     def instructions(self) -> str:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from rcs.envs.spaces import Observation
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.extras import package_of
-from rcs.teleop.device import Button, HandReading, InputDevice, Reading
+from rcs.teleop.device import Button, HandReading, InputDevice, Motion, Reading
 from rcs.teleop.device_file import one_of, udev_rule
+from rcs.teleop.input_events import keys_of
 from rcs.teleop.opened import Opened
 
 PERIOD = 0.008
@@ -27,6 +28,8 @@ TURN_SPEED = 1.0
 REST = 0.1
 """Share of a full deflection within which a stick may rest."""
 FULL = 32767
+BUTTONS = 0xFFFFFFFF << 0x120
+"""Bits of the buttons of joysticks and gamepads among a device's keys (linux/input-event-codes.h)."""
 MATCH = 'KERNEL=="event*", ENV{ID_INPUT_JOYSTICK}=="1"'
 LEFT_X, LEFT_Y, RIGHT_X, RIGHT_Y, RIGHT_TRIGGER = 0, 1, 2, 3, 5
 """Axes of SDL's game controllers; y points to the person."""
@@ -50,6 +53,7 @@ class Gamepad(InputDevice):
     """Two sticks; the left shoulder is the clutch, and the right trigger closes the gripper."""
 
     valid_for = 0.08
+    motion: Motion = ("twist", 6)
 
     def __init__(self, address: str | None = None) -> None:
         """Remember which.
@@ -167,7 +171,11 @@ def _why_none(others: list[str]) -> str:
     if others:
         names = ", ".join(others)
         return f"SDL does not know the buttons of {names}; set SDL_GAMECONTROLLERCONFIG to its line in SDL's list."
-    hidden = [str(path) for path in Path("/dev/input").glob("js*") if not os.access(path, os.R_OK)]
+    hidden = [
+        str(path)
+        for path in sorted(Path("/dev/input").glob("event*"))
+        if keys_of(path.name) & BUTTONS and not os.access(path, os.R_OK)
+    ]
     if hidden:
         return f"You may not read {', '.join(hidden)}. Allow it: {udev_rule(MATCH, 'gamepad')}"
     return "Plug it in, or pair it."

@@ -12,6 +12,8 @@ EVENT = struct.Struct("@llHHi")
 """An event of linux/input.h: its time in two numbers, type, code and value."""
 SYNCHRONISATION, KEY, DROPPED = 0, 1, 3
 RELEASED, PRESSED, REPEATED = 0, 1, 2
+A = 30
+"""Code of a key that every device has on which one can type (KEY_A)."""
 HIGHEST = 0x2FF
 """Largest code of a key (KEY_MAX)."""
 MATCH = 'KERNEL=="event*", SUBSYSTEM=="input", ATTRS{{name}}=="{}"'
@@ -53,7 +55,8 @@ class InputEvents:
         Raises:
             DeviceFault: It is not there, may not be opened, or is in use.
         """
-        name = line_of(Path("/sys/class/input") / Path(self.path).name / "device" / "name")
+        node = Path(self.path).resolve().name  # the path may be a link of /dev/input/by-id
+        name = line_of(Path("/sys/class/input") / node / "device" / "name")
         self._rest, self.pressed, self.damaged = b"", [], 0
         self.held = set()
         self._file = DeviceFile(self.path, self._what, MATCH.format(name), alone=True)
@@ -98,7 +101,7 @@ class InputEvents:
 
 
 def find(is_wanted: frozenset[tuple[str, str]]) -> dict[str, str]:
-    """Return the names of connected devices by path.
+    """Return the names of connected devices by path, of each the part that types.
 
     Args:
         is_wanted: Their vendors and products, four lower-case hexadecimal digits each.
@@ -106,6 +109,13 @@ def find(is_wanted: frozenset[tuple[str, str]]) -> dict[str, str]:
     found: dict[str, str] = {}
     for entry in sorted(Path("/sys/class/input").glob("event*")):
         about = entry / "device"
-        if (line_of(about / "id" / "vendor"), line_of(about / "id" / "product")) in is_wanted:
+        is_known = (line_of(about / "id" / "vendor"), line_of(about / "id" / "product")) in is_wanted
+        if is_known and keys_of(entry.name) >> A & 1:  # others are its mouse and its media keys
             found[f"/dev/input/{entry.name}"] = line_of(about / "name")
     return found
+
+
+def keys_of(node: str) -> int:
+    """Return the keys that a device such as `event5` has, one bit for each code; 0 if that is not known."""
+    words = line_of(Path("/sys/class/input") / node / "device" / "capabilities" / "key").split()
+    return int("0" + "".join(word.zfill(16) for word in words), 16)

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from rcs.errors import InvalidSetup
-from rcs.teleop.device import Button, HandReading, InputDevice, Reading
+from rcs.teleop.device import Button, HandReading, InputDevice, Motion, Reading
 from rcs.teleop.input_events import InputEvents
 from rcs.teleop.opened import Opened
 from rcs.teleop.terminal import Terminal
@@ -78,6 +78,7 @@ class Keyboard(InputDevice):
     """Keys command the velocity of one hand as long as they are held; `space` opens and closes the gripper."""
 
     valid_for = 0.15
+    motion: Motion = ("twist", 6)
 
     def __init__(self, address: str | None = None, *, keys: Keys | None = None) -> None:
         """Remember which keyboard.

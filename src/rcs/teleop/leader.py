@@ -159,7 +159,7 @@ class Leader(InputDevice):
     """
 
     valid_for = 0.1
-    has_clutch = False
+    has_clutch = has_takeover = False
 
     def __init__(
         self, calibration: LeaderCalibration, connect: Callable[[LeaderCalibration], LeaderBus], *, torque: bool = False
@@ -174,6 +174,7 @@ class Leader(InputDevice):
         self.calibration = calibration
         """Calibration in use."""
         self.has_torque = self.has_clutch = torque
+        self.motion = ("joints", len(calibration.near))
         self._connect = connect
         self._opened = Opened[LeaderBus](f"leader at {calibration.address}")
         self._joints = np.array(calibration.near)

@@ -19,20 +19,25 @@ PEDALS = frozenset({("0c45", "7403"), ("0c45", "7404"), ("413d", "2107"), ("1a86
 """Vendors and products of PCsensor's foot switches, which most are (the list of the program `footswitch`)."""
 MEANINGS: dict[str, Button] = {"b": "gripper", "c": "start"}
 """Meanings of the keys with which pedals with three switches are sold; any other key is the clutch."""
+CLUTCH = "clutch"
+"""Address of a pedal of which every key is the clutch: those with one switch are sold with the key b."""
 
 
 class Pedal(InputDevice):
     """One to three pedals: clutch, gripper, and beginning or end of a take."""
 
     valid_for = 0.1
+    has_takeover = False
 
     def __init__(self, address: str | None = None) -> None:
         """Remember where they are.
 
         Args:
-            address: Path such as `/dev/input/event5`; None for the only one of a known kind.
+            address: Path such as `/dev/input/event5`; None for the only one of a known kind, `clutch` for that one with
+                every key as the clutch.
         """
-        self._address = address
+        self._address = None if address == CLUTCH else address
+        self._meanings: dict[str, Button] = {} if address == CLUTCH else MEANINGS
         self._opened = Opened[InputEvents]("foot pedal")
 
     def open(self) -> None:
@@ -48,7 +53,7 @@ class Pedal(InputDevice):
             keys.wait(POLL / 2)
             held = keys.held.union(keys.pressed)
             keys.pressed = []
-            buttons: frozenset[Button] = frozenset(MEANINGS.get(key, "clutch") for key in held)
+            buttons: frozenset[Button] = frozenset(self._meanings.get(key, "clutch") for key in held)
             return Reading(
                 time=keys.time, hands={"right": HandReading(buttons=buttons)}, counts={"damaged": keys.damaged}
             )
@@ -77,6 +82,7 @@ class WithButtons(InputDevice):
         self._device, self._second = device, Feed(buttons)
         self._clutch = isinstance(buttons, Pedal) if clutch is None else clutch
         self.valid_for, self.hands, self.has_clutch = device.valid_for, device.hands, self._clutch or device.has_clutch
+        self.has_takeover, self.motion = device.has_takeover or buttons.has_takeover, device.motion
         self._lock = threading.Lock()
         self._held: frozenset[Button] = frozenset()
         """Buttons of hands that are held and count."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Reading
+from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Motion, Reading
 from rcs.teleop.device_file import DeviceFile, line_of, one_of
 from rcs.teleop.opened import Opened
 
@@ -88,6 +88,8 @@ class SpaceMouse(InputDevice):
     """A SpaceMouse, connected by cable or wirelessly."""
 
     valid_for = 0.1
+    has_takeover = False
+    motion: Motion = ("twist", 6)
 
     def __init__(self, address: str | None = None) -> None:
         """Remember where it is.

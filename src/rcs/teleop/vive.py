@@ -69,6 +69,7 @@ class Vive(InputDevice):
 
     valid_for = 0.08
     hands = ("left", "right")
+    has_takeover = False
 
     def __init__(self, address: str | None = None) -> None:
         """Remember where SteamVR is.
