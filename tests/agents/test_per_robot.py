@@ -58,10 +58,13 @@ def test_each_robot_does_what_its_own_agent_says_at_its_own_rate() -> None:
         action = agent.act(observation, info)
         np.testing.assert_allclose(action["left"]["joints"], quick.start["left"] + 0.001 * (i + 1))
         np.testing.assert_allclose(action["right"]["joints"], slow.start["right"] - 0.002 * (i // 3 + 1))
-        assert agent.notes() == {"left/count": i + 1, **({"right/count": i // 3 + 1} if i % 3 == 0 else {})}
+        counts = {"left/count": i + 1, **({"right/count": i // 3 + 1} if i % 3 == 0 else {})}
+        assert agent.notes() == {"left/actor": "policy", "right/actor": "policy", **counts}
         observation, _, _, _, info = env.step(action)
     assert (quick.decisions, slow.decisions) == (7, 3)
-    assert [note.name for note in agent.note_fields] == ["left/count", "right/count"]
+    agent.rest("left", observation, info)
+    assert "left/actor" not in agent.notes()
+    assert [note.name for note in agent.note_fields] == ["left/actor", "left/count", "right/actor", "right/count"]
     assert agent.events() == ["discard"]
     agent.close()
     assert quick.is_closed

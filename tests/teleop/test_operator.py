@@ -12,7 +12,7 @@ import rcs
 from rcs.agents import Agent, Guide, PerRobot
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.spatial import distance
-from rcs.teleop import HandReading, LeadOptions, Operator
+from rcs.teleop import HandReading, LeadOptions, Operator, Takeover
 from tests.teleop.scripted_device import LEVEL, Led, ScriptedDevice, at, held
 
 MODES = [
@@ -272,6 +272,32 @@ def test_one_robot_is_led_by_a_hand_and_the_other_by_another_agent(lead: Lead) -
     assert led.observation["right"]["joints"][3] - start["right"][3] == pytest.approx(0.1, abs=5e-3)
     assert {note.name for note in both.note_fields} >= {"left/input_time", "left/right_state", "left/right_pose"}
     assert both.notes()["left/right_state"] == "engaged"
+
+
+@pytest.mark.parametrize("is_takeover", [False, True])
+def test_a_person_whose_hand_leads_another_robot_is_refused(is_takeover: bool) -> None:
+    with rcs.make("Free", robot="dual_fr3") as env:
+        person = Operator(env, ScriptedDevice(lambda t: None))  # its hand is the right one
+        agent = Takeover(env, Nodding(env), person) if is_takeover else person
+        with pytest.raises(InvalidSetup, match=r"robots=\{'right': 'left'\}"):
+            PerRobot(env, {"left": agent, "right": Nodding(env)})
+        PerRobot(env, {"left": Nodding(env), "right": agent})
+
+
+@pytest.mark.parametrize(("kind", "size", "unit"), [("twist", 6, "m/s, rad/s"), ("joints", 7, "rad")])
+def test_what_a_device_measures_is_noted_as_it_is(kind: Any, size: int, unit: str) -> None:
+    measured = np.linspace(0.0, 0.1, size)
+    device = ScriptedDevice(lambda t: held(None, **{kind: measured}))
+    device.motion, device.valid_for = (kind, size), 2.0
+    with rcs.make("Free", binary_gripper=False) as env:
+        operator = Operator(env, device, has_thread=False)
+        observation, info = env.reset(seed=0)
+        operator.reset(observation, info)
+        operator.act(observation, info)
+        (field,) = [one for one in operator.note_fields if one.name == f"right_{kind}"]
+        assert (field.size, field.unit) == (size, unit)
+        np.testing.assert_array_equal(operator.notes()[field.name], measured)
+        operator.close()
 
 
 class Nodding(Agent):

@@ -21,6 +21,9 @@ Event = Literal["start", "success", "failure", "discard", "reset", "takeover", "
 """Requests of a person besides motion: a take that begins, or ends with a verdict or without a trace; the next episode;
 a policy's robot, or to give it back; the end."""
 
+ACTOR = Note("actor", words=("policy", "person"))
+"""Note of who acted in a row, where a person may."""
+
 
 class Agent(ABC):
     """Maps an observation to an action. Agents for an environment are made by a factory: `PickExpert(env)`."""

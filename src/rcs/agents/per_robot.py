@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from rcs.agents.agent import Agent, Event
+from rcs.agents.agent import ACTOR, Agent, Event
 from rcs.agents.guide import Guide
 from rcs.agents.pace import Pace
 from rcs.envs.env import Env
@@ -32,7 +32,7 @@ class PerRobot(Agent):
 
         Raises:
             InvalidSetup: A robot has no agent, or there is no robot of a name; or the rate of an agent does not divide
-                that of the environment.
+                that of the environment, or a person is to lead another robot.
         """
         if len(env.robots) < 2 or agents.keys() != env.robots.keys():
             raise InvalidSetup(
@@ -114,15 +114,30 @@ class PerRobot(Agent):
 
     @property
     def note_fields(self) -> Sequence[Note]:
-        """The notes of all agents, each after the name of its robot."""
-        every = [(name, note) for name, pace in self._paces.items() for note in pace.agent.note_fields]
+        """Who acted and the notes of all agents, each after the name of its robot."""
+        every = [(name, note) for name, agent in self.agents.items() for note in _with_actor(agent.note_fields)]
         return [replace(note, name=f"{name}/{note.name}") for name, note in every]
 
     def notes(self) -> Mapping[str, Any]:
-        """Return the notes of all agents that have decided, each after the name of its robot."""
-        acting = {name: pace for name, pace in self._paces.items() if name not in self._resting}
-        return {f"{name}/{key}": own for name, pace in acting.items() for key, own in pace.notes().items()}
+        """Return the notes of all agents that have decided, each after the name of its robot.
+
+        An agent that does not say who acted is a policy; a robot that rests has no actor.
+        """
+        notes: dict[str, Any] = {}
+        for name, pace in self._paces.items():
+            if name not in self._resting:
+                own: dict[str, Any] = {} if _has_actor(pace.agent.note_fields) else {ACTOR.name: "policy"}
+                notes |= {f"{name}/{key}": value for key, value in {**own, **pace.notes()}.items()}
+        return notes
 
     def events(self) -> Sequence[Event]:
         """Return the requests of all agents."""
         return [event for pace in self._paces.values() for event in pace.agent.events()]
+
+
+def _has_actor(fields: Sequence[Note]) -> bool:
+    return any(note.name == ACTOR.name for note in fields)
+
+
+def _with_actor(fields: Sequence[Note]) -> Sequence[Note]:
+    return fields if _has_actor(fields) else [ACTOR, *fields]

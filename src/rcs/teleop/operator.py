@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rcs.agents.agent import Agent, Event
+from rcs.agents.agent import ACTOR, Agent, Event
 from rcs.agents.guide import Guide
 from rcs.devices import lookup
 from rcs.envs.env import Env
@@ -34,8 +34,9 @@ HELD_UP = 0.3
 elsewhere."""
 
 Actor = Literal["policy", "person"]
-ACTORS: tuple[Actor, ...] = ("policy", "person")
 STATES: tuple[State, ...] = ("released", "engaged", "held")
+UNITS = {"pose": "m, xyzw", "twist": "m/s, rad/s", "joints": "rad"}
+"""Units of what a device measures."""
 
 REQUESTS: Mapping[Button, Event] = {
     "start": "start", "success": "success", "failure": "failure", "discard": "discard", "stop": "stop",
@@ -126,7 +127,20 @@ class Operator(Agent):
     @property
     def note_fields(self) -> Sequence[Note]:
         """Fields that `notes` has, as `notes_of` gives them."""
-        return notes_of(self._hands)
+        return notes_of(self.device, self._hands)
+
+    def lead_only(self, robot: str) -> None:
+        """Lead one robot of several; the others have agents of their own.
+
+        Raises:
+            InvalidSetup: No hand leads it.
+        """
+        if robot not in self._led.values():
+            hand = next(iter(self._led))
+            raise InvalidSetup(
+                f"The hands lead {self._led}, and the person is to lead {robot!r}; name the robot of each hand, such "
+                f"as robots={ {hand: robot} }."
+            )
 
     def open(self) -> None:
         """Connect the device, and begin to read it.
@@ -210,8 +224,9 @@ class Operator(Agent):
         if reading is not None:
             notes["input_time"] = reading.time
             for name in self._hands:
-                if (one := reading.hands.get(name)) is not None and one.is_tracked and one.pose is not None:
-                    notes[f"{name}_pose"] = one.pose
+                one, (kind, _) = reading.hands.get(name), self.device.motion
+                if one is not None and one.is_tracked and (measured := getattr(one, kind)) is not None:
+                    notes[f"{name}_{kind}"] = measured
         return {**notes, **{f"{name}_state": state for name, state in self.states.items()}}
 
     def events(self) -> Sequence[Event]:
@@ -240,15 +255,16 @@ class Operator(Agent):
             self._events += requests
 
 
-def notes_of(hands: Iterable[str]) -> list[Note]:
-    """Return the notes of an operator: who acted, when hands were measured, how late that is; state and pose of each.
+def notes_of(device: InputDevice | type[InputDevice], hands: Iterable[str] | None = None) -> list[Note]:
+    """Return the notes of an operator: who acted, when hands were measured, how late; state and motion of each.
 
     Args:
-        hands: Names of the hands that lead.
+        device: The device, or its class.
+        hands: Names of the hands that lead; None for all that it has.
     """
-    fields = [Note("actor", words=ACTORS), Note("input_time", unit="s"), Note("input_latency", unit="s")]
-    for name in hands:
-        fields += [Note(f"{name}_state", words=STATES), Note(f"{name}_pose", size=7, unit="m, xyzw")]
+    fields, (kind, size) = [ACTOR, Note("input_time", unit="s"), Note("input_latency", unit="s")], device.motion
+    for name in device.hands if hands is None else hands:
+        fields += [Note(f"{name}_state", words=STATES), Note(f"{name}_{kind}", size=size, unit=UNITS[kind])]
     return fields
 
 

@@ -83,7 +83,8 @@ class Takeover(Agent):
         self.operator.take_over(observation, info)
 
     def lead_only(self, robot: str) -> None:
-        """Have the policy act for one robot of several."""
+        """Have both act for one robot of several; faults as in `Operator.lead_only`."""
+        self.operator.lead_only(robot)
         self._pace.agent.lead_only(robot)
 
     @property

@@ -17,6 +17,7 @@ from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.errors import DatasetError, DeviceFault, InvalidSetup, SimulationError, UnknownName, WrongOrder
 from rcs.rollout.interactive.session import Session, playable
+from rcs.setups.make import make
 from rcs.teleop import Operator, Takeover
 from tests.rollout.asking import Asking
 from tests.teleop.scripted_device import LEVEL, ScriptedDevice, held
@@ -36,6 +37,22 @@ def test_what_a_person_plays_with_is_in_real_time_and_has_no_limit_of_steps() ->
     assert playable(Setup(task="PickToy", robot="xarm7")).binary_gripper
     with pytest.raises(UnknownName, match="Did you mean 'fr3'"):
         playable(Setup(robot="fr4"))
+
+
+def test_a_session_may_take_an_environment_and_closes_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = make(replace(playable(Setup(task="Free")), stepping="async"))
+    close, closed = env.close, list[Env]()
+
+    def note() -> None:
+        closed.append(env)
+        close()
+
+    monkeypatch.setattr(env, "close", note)
+    with Session(env) as session:
+        session.step()
+        assert session.env is env
+        assert not closed
+    assert closed
 
 
 def test_a_seed_begins_the_same_episode_and_without_one_the_next() -> None:

@@ -63,7 +63,7 @@ class Session(Closing):
 
     def __init__(
         self,
-        setup: Setup,
+        setup: Setup | Env,
         *,
         seed: int = 0,
         agent: Any = None,
@@ -74,10 +74,10 @@ class Session(Closing):
         """Make the environment and begin its first episode.
 
         Args:
-            setup: The setup, as `playable` returns it, or with other timing in tests.
+            setup: The setup, as `playable` returns it, or an environment, which `close` closes, too.
             seed: Seed of the first episode.
             agent: Agent that may act in place of the person, as `agent_for` takes it; None for the task's expert.
-            hardware: Real devices, as in `rcs.make`; None for simulation alone.
+            hardware: Real devices of a setup, as in `rcs.make`; None for simulation alone.
             record_into: Folder of the dataset of takes; None for no recording.
             instructions: Instructions of the takes, in turn; none for that of the environment.
 
@@ -91,8 +91,6 @@ class Session(Closing):
         """Info of the last step, or of the reset."""
         self.takes: Takes | None = None
         """The takes, from the first one on; None before it, and without a folder."""
-        self.statistics = LoopStatistics(setup.frequency)
-        """How well the loop has kept its rate in this episode."""
         self._actor, self._record_into, self._instructions = agent, record_into, instructions
         self._recording = ExitStack()
         self._pace: Pace | None = None
@@ -102,7 +100,7 @@ class Session(Closing):
         self._began = 0.0
         self.episodes = 0
         """Episodes that have begun."""
-        self.env: Env = make(setup, hardware=hardware)
+        self.env: Env = setup if isinstance(setup, Env) else make(setup, hardware=hardware)
         self._mirror = None if self.env.is_simulated else TimedWorld(list(self.env.robots.values()))
         try:
             self.guides: dict[str, Guide] = {name: Guide(self.env, robot) for name, robot in self.env.robots.items()}
@@ -299,7 +297,7 @@ class Session(Closing):
         if self._record_into is None:
             raise WrongOrder("Nothing is recorded; give a folder to record into.")
         if self.takes is None:
-            fields = [*notes_of(Keyboard.hands), *(() if self.agent is None else self.agent.note_fields), ACTOR]
+            fields = [*notes_of(Keyboard), *(() if self.agent is None else self.agent.note_fields), ACTOR]
             notes = {note.name: note for note in fields}  # keys may lead later, and all takes have the same notes
             recorder = self._recording.enter_context(record(self.env, self._record_into, notes=list(notes.values())))
             self.takes = Takes(recorder, self.env.frequency, instructions=self._instructions)
@@ -359,7 +357,9 @@ class Session(Closing):
         """Whether the episode is over, so that only `reset` and `recover` go on."""
         self.reward, self.total, self.steps = 0.0, 0.0, 0
         before, self.info = self.info, {}
-        self.statistics, self._ended = LoopStatistics(self.env.frequency), None
+        self.statistics = LoopStatistics(self.env.frequency)
+        """How well the loop has kept its rate in this episode."""
+        self._ended = None
         try:
             if self.takes is not None and self.takes.is_recording:
                 self.env.hold()
