@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,7 +16,7 @@ import rcs
 from rcs.agents import Agent, Event, PerRobot
 from rcs.envs.spaces import Action, Observation
 from rcs.rollout.latency import Latency
-from rcs.rollout.takes import LoopStatistics, Takes
+from rcs.rollout.takes import Takes
 from rcs.rollout.teleoperate import Teleoperation
 from rcs.teleop import Operator, Takeover
 from tests.rollout.asking import Asking
@@ -30,8 +30,9 @@ def make(tmp_path: Path) -> Iterator[Make]:
     with ExitStack() as stack:
 
         def made(requests: Mapping[int, Event], *, task: str = "PickCuboid", **options: Any) -> Any:
-            setup = {name: options.pop(name) for name in ("hardware", "stepping") if name in options}
-            env = stack.enter_context(rcs.make(task, max_episode_steps=None, **setup))
+            names = ("hardware", "stepping", "max_episode_steps")
+            setup: dict[str, Any] = {name: options.pop(name) for name in names if name in options}
+            env = stack.enter_context(rcs.make(task, **{"max_episode_steps": None, **setup}))
             agent, told = Asking(env, requests), list[str]()
             recorder = stack.enter_context(rcs.record(env, tmp_path / "set", notes=agent.note_fields))
             takes = Takes(recorder, env.frequency, instructions=options.pop("instructions", ()))
@@ -128,6 +129,54 @@ def test_a_reset_during_a_take_keeps_it_without_a_verdict(make: Make, tmp_path: 
     assert [(one.id, one.success, one.length) for one in kept(tmp_path)] == [("000000", None, 7)]
     assert "Take 000000: no verdict" in told[1]
     assert loop.seed == 4
+
+
+def test_ctrl_c_during_a_take_keeps_it_without_a_verdict_and_with_its_figures(make: Make, tmp_path: Path) -> None:
+    loop, told = make({3: "start"})
+    asked = itertools.count()
+
+    def interrupt() -> bool:
+        if next(asked) == 8:  # after so many steps
+            raise KeyboardInterrupt
+        return False
+
+    with pytest.raises(KeyboardInterrupt):
+        loop.run(interrupt)
+    assert loop.takes is not None
+    assert loop.takes.kept == 1
+    assert "Take 000000: no verdict" in told[-1]
+    (episode,) = kept(tmp_path)
+    assert (episode.success, (episode.outcome or {})["loop"]["steps"]) == (None, 5)
+
+
+def test_an_episode_of_real_devices_that_ends_during_a_take_asks_for_a_reset(make: Make) -> None:
+    loop, told = make({3: "start"}, task="Free", hardware="fake", max_episode_steps=6)
+    _begun(loop)
+    while not loop.is_over:
+        loop.advance()
+    assert "Take 000000" in told[-2]
+    assert told[-1] == "The episode is over. Reset to go on."
+
+
+def test_a_refusal_is_told_once_whatever_its_figures_and_again_after_a_while(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop, told = make({})
+    step, reasons = _begun(loop).env.step, ["link5 is 3.2 mm away", "", "link5 is 2 mm away", "the hand is 1 mm away"]
+
+    def refuse(action: Action) -> Any:
+        *rest, info = step(action)
+        why = reasons.pop(0)
+        return (*rest, {**info, "refused": why} if why else info)
+
+    monkeypatch.setattr(loop.env, "step", refuse)
+    while reasons:
+        loop.advance()
+    assert told == ["Refused: link5 is 3.2 mm away", "Refused: the hand is 1 mm away"]
+    monkeypatch.setattr("rcs.rollout.teleoperate.AGAIN", 0.0)
+    reasons.append("the hand is 1 mm away")
+    loop.advance()
+    assert told[2:] == ["Refused: the hand is 1 mm away"]
 
 
 def test_a_fault_keeps_the_take_open_until_a_person_decides(make: Make, tmp_path: Path) -> None:
@@ -315,18 +364,6 @@ def test_on_real_devices_a_policy_beside_a_person_rests_after_a_take_until_a_res
         both.close()
 
 
-def test_the_figures_of_a_loop_are_those_of_its_periods() -> None:
-    statistics = LoopStatistics(50.0)
-    for period, late in ((0.02, 0.0), (0.02, 0.0), (0.04, 0.02)):
-        statistics.add(period, {"late": late, "ages": {"joints": 0.001 + late}})
-    mean, deviation = statistics.rates
-    assert mean == pytest.approx(3 / 0.08)
-    assert deviation == pytest.approx(np.std([0.02, 0.02, 0.04]) * mean**2)
-    assert statistics.late == 1
-    assert str(statistics) == "3 steps at 37.50 ± 13.26 Hz, 1 late; oldest: joints 21 ms"
-    assert np.isnan(LoopStatistics(50.0).rates[0])
-
-
 class Moving(Asking):
     """Rests, and moves now and then."""
 
@@ -351,13 +388,3 @@ def test_the_latency_goes_from_the_reading_to_the_command_and_to_the_first_pictu
     assert all(time > command for time, command in zip(latency.pictures, [0.01] * 9, strict=False))
     assert max(latency.pictures) < 0.5
     assert "event to picture" in str(latency)
-
-
-def test_the_figures_of_a_loop_are_those_of_all_its_periods_and_take_no_more_room_with_every_hour() -> None:
-    periods = np.random.default_rng(3).uniform(0.02, 0.05, 5000)
-    statistics = LoopStatistics(30.0)
-    for period in periods:
-        statistics.add(float(period), {})
-    mean = periods.mean()
-    assert statistics.rates == pytest.approx((1 / mean, periods.std() / mean**2), rel=1e-9)
-    assert len(pickle.dumps(statistics)) < 500

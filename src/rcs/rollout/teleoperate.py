@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -17,6 +19,9 @@ from rcs.teleop.takeover import end_policies, people_of
 
 VERDICTS: Mapping[Event, bool] = {"success": True, "failure": False}
 """Events that end a take with a verdict."""
+OVER = "The episode is over. Reset to go on."
+AGAIN = 2.0
+"""Time without a refusal after which the same one is told again [s]."""
 
 
 class Teleoperation:
@@ -28,7 +33,7 @@ class Teleoperation:
     In simulation, a take that has ended is followed by the next episode, a discarded one by the same again. On real
     robots the loop goes on, and the person leads the robot to where the next take begins, also one of a policy that
     may be taken over; a policy beside a person rests until `reset`. Whenever a take ends, all devices hold, and the
-    person has to press the clutch anew.
+    person has to press the clutch anew. One under way when all ends, also by Ctrl-C, is kept without a verdict.
     """
 
     def __init__(
@@ -68,6 +73,7 @@ class Teleoperation:
         self._pace, self._report = Pace(env, agent), report
         self._ended: float | None = None
         self._told: str | None = None
+        self._refusal, self._refused_at = "", -math.inf
 
     @property
     def is_simulated(self) -> bool:
@@ -98,6 +104,11 @@ class Teleoperation:
             self.begin(self.seed)
             while not self.is_ending and not is_done():
                 self.advance()
+        except KeyboardInterrupt:
+            self._keep_take()
+            raise
+        else:
+            self._keep_take()
         finally:
             self.env.hold()
 
@@ -120,9 +131,7 @@ class Teleoperation:
         if event == "stop":
             self.is_ending = True
         elif event == "reset":
-            if self.takes is not None and self.takes.is_recording:
-                self.env.hold()
-                self._report(self.takes.finish(None))
+            self._keep_take()
             self._begin_anew()
         elif event in ("start", "discard", *VERDICTS):
             self._judge(event)
@@ -140,6 +149,8 @@ class Teleoperation:
                 self.takes.add(now - self._ended, self.info)
         self._ended = now
         if not terminated and not truncated:
+            if "refused" in self.info:
+                self._tell_refusal(str(self.info["refused"]), now)
             return
         self.is_over = True
         if faults := self.info.get("faults"):
@@ -150,7 +161,14 @@ class Teleoperation:
         elif self.is_simulated:
             self.begin()
         else:
-            self._report("The episode is over. Reset to go on.")
+            self._report(OVER)
+
+    def _tell_refusal(self, why: str, now: float) -> None:
+        """Report why a gate lets nothing through, once as long as it refuses for the same reason."""
+        words = without_figures(why)
+        if words != self._refusal or now - self._refused_at > AGAIN:
+            self._report(f"Refused: {why}")
+        self._refusal, self._refused_at = words, now
 
     def _begin_anew(self) -> None:
         """Clear faults and begin the next episode; while they stay it is over, and a person may ask again."""
@@ -177,12 +195,20 @@ class Teleoperation:
         elif takes.is_recording:
             self._end(takes, VERDICTS[event] if event in VERDICTS else verdict_of(self.info))
 
+    def _keep_take(self) -> None:
+        """Keep a take under way without a verdict."""
+        if self.takes is not None and self.takes.is_recording:
+            self.env.hold()  # writing takes longer than a period
+            self._report(self.takes.finish(None))
+
     def _end(self, takes: Takes, success: bool | None, *, is_kept: bool = True) -> None:
         self.env.hold()  # writing takes longer than a period
         self._report(takes.finish(success) if is_kept else takes.discard())
         if self.is_simulated:
             self.begin(None if is_kept else self.seed)
-        elif not self.is_over:
+        elif self.is_over:
+            self._report(OVER)
+        else:
             self._ended = None
             self.info = go_on_from_hold(self._pace, self.observation, instructed(self.info, self.takes))
 
@@ -202,3 +228,8 @@ def go_on_from_hold(pace: Pace | None, observation: Observation, info: Mapping[s
     elif pace is not None:
         pace.reset(observation, info)
     return after_hold(info)
+
+
+def without_figures(words: str) -> str:
+    """Return words without their figures, which change all the time, to see whether they say anything new."""
+    return re.sub(r"[-+]?[0-9.]+", "", words)

@@ -123,6 +123,11 @@ def test_a_fault_is_told_and_the_button_recovers(view: BrowserView, monkeypatch:
 IMAGE = "<img src=x onerror=alert(1)>"
 
 
+def test_why_a_gate_has_refused_is_shown(view: BrowserView) -> None:
+    view.session.info = {**view.session.info, "refused": "the hand is near the table"}
+    assert "> Refused: the hand is near the table" in words(view)
+
+
 def test_words_of_a_fault_and_an_instruction_are_shown_and_not_rendered(
     view: BrowserView, monkeypatch: pytest.MonkeyPatch
 ) -> None:

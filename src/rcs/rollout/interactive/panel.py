@@ -112,7 +112,8 @@ class Panel:
     def _show_text(self) -> None:
         session = self._session
         failed = None if session.agent is None else session.agent.failure_message
-        words = self._message or session.problem or failed
+        refused = session.info.get("refused")
+        words = self._message or session.problem or (refused and f"Refused: {refused}") or failed
         reach = ", ".join(name for name, guide in session.guides.items() if guide.is_out_of_reach)
         lines = [f"**{as_line(session.env.instruction)}**" if session.env.instruction else ""]
         lines.append(
