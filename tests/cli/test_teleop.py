@@ -10,8 +10,11 @@ from rcs_data import Dataset
 from rcs_data.check import check
 
 from rcs.cli.main import main
+from rcs.cli.setup_options import Flags
+from rcs.cli.teleop import TeleopCommand
 from rcs.robots.fr3 import FR3
-from rcs.teleop import HandReading, InputDevice
+from rcs.setups.make import make
+from rcs.teleop import HandReading, InputDevice, Operator
 from tests.teleop.scripted_device import ScriptedDevice, at, held
 
 
@@ -97,6 +100,14 @@ def test_why_a_leader_does_not_engage_is_said_once(capsys: pytest.CaptureFixture
     assert "right released: right: joint" in told
 
 
+def test_a_person_leads_an_arm_with_a_hand_which_opens_and_closes_as_a_whole() -> None:
+    command = TeleopCommand(task="PickToy", environment=Flags(robot="xarm7"))
+    with make(command._setup()) as env:
+        assert isinstance(command._agent(env, command._device()), Operator)
+    assert not TeleopCommand()._setup().binary_gripper
+    assert TeleopCommand(environment=Flags(binary_gripper=True))._setup().binary_gripper
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -104,9 +115,11 @@ def test_why_a_leader_does_not_engage_is_said_once(capsys: pytest.CaptureFixture
         (["Free", "--input", ME, "--lead", "right"], "hand=robot"),
         (["LiftBar", "--robot", "dual_fr3", "--input", ME, "--lead", "right=middle"], "middle"),
         (["Free", "--input", ME, "--scale", "0"], "scale"),
+        (["PickCuboid", "--input", "spacemouse", "--agent", "PickExpert"], "--input spacemouse keyboard"),
+        (["Free", "--input", ME, "--twin"], "simulated robots"),
     ],
 )
 def test_what_is_wrong_is_said(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(*arguments) != 0
     told = capsys.readouterr()
-    assert words in told.out + told.err
+    assert words in " ".join((told.out + told.err).split())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -20,9 +19,10 @@ from rcs.envs.env import Env
 from rcs.envs.observers.record import record
 from rcs.envs.observers.twin import attach_twin
 from rcs.errors import InvalidSetup
+from rcs.rollout.interactive.session import playable
 from rcs.rollout.latency import Latency
 from rcs.rollout.takes import Takes
-from rcs.rollout.teleoperate import Teleoperation
+from rcs.rollout.teleoperate import Teleoperation, without_figures
 from rcs.setups.make import make
 from rcs.teleop.device import InputDevice
 from rcs.teleop.leader import Leader
@@ -60,7 +60,7 @@ class TeleopCommand(SetupOptions):
     """Have the motors of a leader lead it gently after the robot while you do not lead; the device beside it is the
     clutch, such as a pedal, or any key of motion of a keyboard."""
     twin: bool = False
-    """Have a digital twin beside the robot; an alarm makes all devices hold."""
+    """Have a digital twin beside the real robot of `--hardware`; an alarm makes all devices hold."""
     measure: bool = False
     """Measure the time from your hand to the command and to the first picture that has changed."""
 
@@ -109,11 +109,12 @@ class TeleopCommand(SetupOptions):
                 console.print(f"Dataset: {self.record}   ({takes.kept} takes kept)", soft_wrap=True)
 
     def _setup(self) -> Any:
-        usual: dict[str, Any] = {"binary_gripper": False}
+        usual: dict[str, Any] = {}
         if self.record is not None or self.measure:
             usual["cameras"] = recorded_cameras(self.hardware)
-        setup = self.setup("realtime", **usual)
-        return setup if "max_episode_steps" in self.given else replace(setup, max_episode_steps=None)
+        keep_gripper = self.checkpoint is not None or "binary_gripper" in self.given
+        setup = playable(self.setup("realtime", **usual), keep_gripper=keep_gripper)
+        return replace(setup, max_episode_steps=self.given.get("max_episode_steps"))
 
     def _device(self) -> InputDevice:
         if not self.input:
@@ -134,7 +135,12 @@ class TeleopCommand(SetupOptions):
     def _agent(self, env: Env, device: InputDevice) -> Agent:
         operator = Operator(env, device, options=self.hand, robots=_pairs(self.lead))
         actor = self.actor
-        return operator if actor is None else Takeover(env, agent_for(env, actor), operator)
+        if actor is None:
+            return operator
+        if not device.has_takeover:
+            given = " ".join(self.input)
+            raise InvalidSetup(f"{given} cannot take over; put a keyboard beside it: --input {given} keyboard.")
+        return Takeover(env, agent_for(env, actor), operator)
 
 
 class _States:
@@ -148,7 +154,7 @@ class _States:
         operator = self._operator
         states = ", ".join(f"{name} {state}" for name, state in operator.states.items())
         shown = f"{states}{f': {operator.problem}' if operator.problem else ''}"
-        if (words := re.sub(r"[-+]?[0-9.]+", "", shown)) != self._shown:  # figures change all the time
+        if (words := without_figures(shown)) != self._shown:
             self._console.print(shown, soft_wrap=True)
             self._shown = words
         return False
