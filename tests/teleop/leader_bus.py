@@ -4,7 +4,7 @@ Prints the path of the port, and after each line of its input which servos have 
 bounds their torque. A servo with torque goes to its goal by up to `PACE` between two answers, unless it is held:
 `{"held": [2]}`. Each line of its input is JSON: positions by servo, or a fault: `{"mute": [3]}` has servos
 say nothing, `{"lose": 2}` and `{"corrupt": 2}` damage the next answers, `{"late": 0.05}` delays all of them [s], and
-`{"noise": 3}` has each follow so many damaged copies of it, with one wrong bit behind the head.
+`{"noise": 3}` has each follow so many damaged copies of it, with one wrong bit behind the head, if it has a body.
 Positions are what the encoders count, 4096 a turn, those of Dynamixel servos with whole turns; in permanent memory, all
 servos of Feetech are calibrated to 0 … 4095 with the middle at 2048, but for the ends of the range.
 """
@@ -62,7 +62,7 @@ class Servos:
                 self.faults[fault] -= 1
                 return b"" if fault == "lose" else answer[:-3] + bytes([answer[-3] ^ 4]) + answer[-2:]
         before = self.noise.setdefault(servo, 0)
-        self.noise[servo] += self.faults.get("noise", 0)
+        self.noise[servo] += self.faults.get("noise", 0) if len(answer) > 7 else 0
         wrong = [divmod(bit % (8 * (len(answer) - 7)), 8) for bit in range(before, self.noise[servo])]
         copies = [answer[: 7 + at] + bytes([answer[7 + at] ^ 1 << bit]) + answer[8 + at :] for at, bit in wrong]
         return b"".join([*copies, answer])

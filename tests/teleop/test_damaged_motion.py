@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,9 @@ import numpy as np
 import pytest
 
 import rcs
+from rcs.robots.description import ArmDescription
 from rcs.robots.fr3 import FR3
+from rcs.robots.so101 import SO101
 from rcs.rollout.interactive.page_link import PageKeys, PageLink
 from rcs.spatial import distance
 from rcs.teleop import InputDevice, Keyboard, Operator, Quest, Reading, SpaceMouse, Vive, credentials, gello, vive_relay
@@ -27,10 +30,11 @@ from rcs.teleop.device_file import DeviceFile
 from rcs.teleop.headset_messages import decode
 from rcs.teleop.input_events import EVENT, HIGHEST, InputEvents
 from rcs.teleop.keyboard import MOTIONS
+from rcs.teleop.so101_leader import so101_leader, uncalibrated
 from rcs.teleop.spacemouse import KnobReports
 from rcs.teleop.terminal import Terminal
 from rcs.teleop.terminal_keys import TerminalKeys
-from tests.teleop.leaders import STEP, bus_of, calibrated, saved
+from tests.teleop.leaders import COUNTS, STEP, bus_of, calibrated, saved
 from tests.teleop.test_damaged import COUNT, damaged
 
 pytestmark = pytest.mark.slow
@@ -53,7 +57,7 @@ def quick_threads() -> Iterator[None]:
     sys.setswitchinterval(before)
 
 
-def lead(device: InputDevice, send: Callable[[bool], bool], counted: Callable[[], int]) -> None:
+def lead(device: InputDevice, send: Callable[[bool], bool], counted: Callable[[], int], *, robot: str = "fr3") -> None:
     """Have a robot follow a hand that is still, then moves.
 
     Args:
@@ -61,8 +65,9 @@ def lead(device: InputDevice, send: Callable[[bool], bool], counted: Callable[[]
         send: Sends a good message, and `TOGETHER` damaged ones after it, or, given True, good ones of a hand that
             moves; returns False when `COUNT` damaged ones were sent.
         counted: Returns how many damaged messages the device has counted.
+        robot: The robot.
     """
-    with rcs.make("Free", stepping="async", max_episode_steps=None, binary_gripper=False) as env:
+    with rcs.make("Free", robot=robot, stepping="async", max_episode_steps=None, binary_gripper=False) as env:
         operator = Operator(env, device)
         observation, info = env.reset(seed=0)
         operator.reset(observation, info)
@@ -236,13 +241,20 @@ def test_messages_of_a_page() -> None:
 
 
 @pytest.mark.hardware
-def test_answers_of_servos(tmp_path: Path) -> None:
-    pytest.importorskip("serial", reason="pip install 'robot-control-stack[leader]'")
-    began, home = time.monotonic(), np.array(FR3.home)
-    with bus_of("dynamixel", 8) as bus:
-        # At 2048 of each servo the follower is at home, to the last bit.
-        calibration = calibrated(bus.path, signs=(1,) * 7, offsets=tuple(home - 2048 * STEP), near=tuple(home))
-        device: Any = gello(saved(calibration, tmp_path))
+@pytest.mark.parametrize(("kind", "arm"), [("dynamixel", FR3), ("feetech", SO101)])
+def test_answers_of_servos(kind: str, arm: ArmDescription, tmp_path: Path) -> None:
+    for name in ("serial", "scservo_sdk"):
+        pytest.importorskip(name, reason="pip install 'robot-control-stack[leader]'")
+    began, home = time.monotonic(), np.array(arm.home)
+    with bus_of(kind, COUNTS[kind]) as bus:
+        # At 2048 of each servo the follower is at home.
+        angles = 2048 * STEP if kind == "dynamixel" else np.array([0.0, 0.0, 0.0, 0.0, 0.5 * STEP])
+        at_home = {"offsets": tuple((home - angles).tolist()), "near": tuple(home.tolist())}
+        device: Any
+        if kind == "dynamixel":
+            device = gello(saved(calibrated(bus.path, signs=(1,) * 7, **at_home), tmp_path))
+        else:
+            device = so101_leader(saved(replace(uncalibrated(bus.path), **at_home), tmp_path))
         device.sent_damaged = 0
 
         def send(is_moving: bool) -> bool:
@@ -250,12 +262,12 @@ def test_answers_of_servos(tmp_path: Path) -> None:
             # A leader without a clutch leads once it was moved and rests.
             off = 40 if passed < 1.0 else round(65 * np.sin(passed)) if is_moving else 0
             noise = 5 if passed > 3.0 and not is_moving else 0
-            told = bus.tell(positions=dict.fromkeys(range(1, 8), 2048 + off), noise=noise)
+            told = bus.tell(positions=dict.fromkeys(range(1, arm.dof + 1), 2048 + off), noise=noise)
             device.sent_damaged = sum(told["noise"].values())
             time.sleep(0.01)
             return device.sent_damaged < COUNT
 
-        lead(device, send, lambda: device.sent_damaged)
+        lead(device, send, lambda: device.sent_damaged, robot=arm.name)
 
 
 def broken(random_: random.Random, good: list[bytes]) -> bytes:

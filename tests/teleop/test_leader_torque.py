@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 
 import rcs
+from rcs.agents import Agent
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.teleop import Leader, Operator, WithButtons, gello, so101_leader
+from rcs.robots.fr3 import FR3
+from rcs.teleop import Leader, Operator, Takeover, WithButtons, gello, so101_leader
 from rcs.teleop.leader import AHEAD, FRESH, PACE
 from tests.teleop.leaders import COUNTS, STEP, Bus, bus_of, calibrated, saved
 from tests.teleop.scripted_device import ScriptedDevice, held
@@ -232,6 +234,59 @@ def test_engaging_needs_no_leap_since_the_leader_has_come_to_the_robot(tmp_path:
         until(lambda: not with_torque(bus))
         assert np.abs(observation["joints"] - start).max() < 0.03
         operator.close()
+
+
+class Turned(Agent):
+    """A policy that turns the first joint by 0.15 rad."""
+
+    goal = np.array(FR3.home) + [0.15, *[0.0] * 6]
+
+    def reset(self, observation: Any, info: Any) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Any, info: Any) -> dict[str, Any]:
+        return {"joints": self.goal, "gripper": np.ones(1, np.float32)}
+
+
+def test_a_leader_follows_a_policy_and_takes_the_robot_over_without_a_leap(tmp_path: Path) -> None:
+    pressed: list[Any] = []
+    home = np.array(FR3.home)
+    with (
+        bus_of("dynamixel", COUNTS["dynamixel"]) as bus,
+        rcs.make("Free", relative="absolute", max_episode_steps=None, binary_gripper=False) as env,
+    ):
+        foot = ScriptedDevice(lambda t: held(None, *pressed), is_waiting=True)
+        at_home: dict[str, Any] = {
+            "signs": (1,) * 7,
+            "offsets": tuple((home - 2048 * STEP).tolist()),
+            "near": tuple(home.tolist()),
+        }
+        device = gello(saved(calibrated(bus.path, **at_home), tmp_path), torque=True)
+        operator = Operator(env, WithButtons(device, foot, clutch=True), has_thread=False)
+        agent = Takeover(env, Turned(), operator)
+        observation, info = env.reset(seed=0)
+        agent.reset(observation, info)
+
+        def until(is_true: Callable[[], bool]) -> None:
+            nonlocal observation, info
+            end = time.monotonic() + 60
+            while not is_true():
+                assert time.monotonic() < end, (agent.actor, operator.problem)
+                observation, _, _, _, info = env.step(agent.act(observation, info))
+
+        until(lambda: np.abs(observation["joints"] - Turned.goal).max() < 5e-3)
+        until(lambda: np.abs(device._joints - Turned.goal).max() < 0.01)
+        assert with_torque(bus) == joints_of(bus)
+        pressed.append("takeover")
+        until(lambda: agent.actor == "person")
+        pressed.append("clutch")
+        until(lambda: operator.states["right"] == "engaged")
+        until(lambda: not with_torque(bus))
+        assert np.abs(observation["joints"] - Turned.goal).max() < 0.03
+        pressed.clear()
+        until(lambda: with_torque(bus) == joints_of(bus))
+        agent.close()
+    assert agent.actor == "person"
 
 
 def test_the_command_wants_a_leader_and_a_clutch_beside_it() -> None:
