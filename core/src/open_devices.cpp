@@ -113,9 +113,18 @@ void OpenDevices::watch() {
       next->deadline = kNever;
       busy_.push_back(device);
       lock.unlock();
-      device->lapse();
+      // One that takes its time must not keep the others moving.
+      const auto lapse = [this, device] {
+        device->lapse();
+        const std::lock_guard held(mutex_);
+        release(device);
+      };
+      try {
+        std::thread(lapse).detach();
+      } catch (const std::system_error&) {
+        lapse();  // no thread can be started: one after the other is better than none
+      }
       lock.lock();
-      release(device);
     }
   }
 }

@@ -1,4 +1,4 @@
-// The open devices of this process, and the thread that holds them when a command's time is over. Private to the
+// The open devices of this process, and the thread that has them held when a command's time is over. Private to the
 // sources.
 #pragma once
 

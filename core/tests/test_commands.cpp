@@ -84,6 +84,17 @@ void the_arm_whose_time_ends_first_is_held_first() {
   CHECK(slow.holds == 0);
 }
 
+void arms_whose_times_end_together_are_held_together() {
+  std::atomic<int> holding = 0;
+  TestArm first("first"), second("second");
+  first.holding = second.holding = &holding;  // each holds only when the other has begun to
+  first.open();
+  second.open();
+  first.command_joints(kTwo, 0.05);
+  second.command_joints(kTwo, 0.05);
+  CHECK(TestArm::comes([&] { return first.holds >= 1 && second.holds >= 1; }));
+}
+
 void a_newer_command_takes_the_place_of_a_deadline() {
   TestArm renewed("renewed"), other("other");
   renewed.open();
@@ -240,6 +251,7 @@ void what_is_measured_has_times_and_makes_sense() {
 int main() {
   a_command_ends_when_its_time_is_over();
   the_arm_whose_time_ends_first_is_held_first();
+  arms_whose_times_end_together_are_held_together();
   a_newer_command_takes_the_place_of_a_deadline();
   a_refused_command_leaves_the_deadline_of_the_one_before();
   an_arm_that_cannot_be_held_at_the_end_of_a_command_is_in_fault();
