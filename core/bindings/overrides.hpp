@@ -24,10 +24,19 @@ namespace nb = nanobind;
 /// A device may take its time: other threads of Python run meanwhile. What Python overrides takes the GIL again.
 using WithoutGil = nb::call_guard<ReleasedGil>;
 
+/// What Python's `str` or another function shows of an object, with the GIL held. It never throws.
+inline std::string shown(nb::handle object, PyObject* (*show)(PyObject*) = PyObject_Str) {
+  const nb::object text = nb::steal(call_python([&] { return show(object.ptr()); }));
+  const nb::object bytes =
+      nb::steal(text.is_valid() ? PyUnicode_AsEncodedString(text.ptr(), "utf-8", "backslashreplace") : nullptr);
+  if (bytes.is_valid()) return PyBytes_AsString(bytes.ptr());
+  PyErr_Clear();
+  return "(its text cannot be shown)";
+}
+
 /// The name of a type with its module, so that NumPy's bool is not taken for Python's.
 inline std::string full_name(nb::handle type) {
-  const std::string module = nb::str(type.attr("__module__")).c_str(),
-                    name = nb::str(type.attr("__qualname__")).c_str();
+  const std::string module = shown(type.attr("__module__")), name = shown(type.attr("__qualname__"));
   return module == "builtins" ? name : module + "." + name;
 }
 
@@ -55,7 +64,7 @@ inline nb::object error_class(const char* name) { return nb::module_::import_("r
 inline std::optional<std::string> words_of_python(const nb::python_error& error) {
   const HeldGil gil;
   if (!error.matches(PyExc_Exception) || error.matches(error_class("RcsError"))) return {};
-  return full_name(error.type()) + ": " + nb::str(error.value()).c_str();
+  return full_name(error.type()) + ": " + shown(error.value());
 }
 
 inline Array to_python(std::span<const double> values) { return to_array(values); }
@@ -76,7 +85,7 @@ Result call_override(const nb::detail::trampoline& trampoline, const char* name,
   if constexpr (!std::is_void_v<Result>) {
     Result result;
     if (nb::try_cast<Result>(answer, result)) return result;
-    std::string given = nb::repr(answer).c_str();
+    std::string given = shown(answer, PyObject_Repr);
     if (given.size() > 80) given = "something";
     throw nb::type_error((full_name(trampoline.base().type()) + "." + name + " returned " + given + " of type " +
                           full_name(answer.type()) + ", it must return " + valid)
@@ -99,7 +108,7 @@ struct PyCalls : Base {
     } catch (const nb::python_error& error) {
       const HeldGil gil;
       if (!error.matches(error_class("DeviceFault"))) throw;
-      std::throw_with_nested(rcs::DeviceFault(nb::str(error.value()).c_str()));
+      std::throw_with_nested(rcs::DeviceFault(shown(error.value())));
     }
   }
   /// The same where the class overrides the method, else a value.

@@ -76,7 +76,8 @@ void Device::open() {
     try {
       do_close();
     } catch (const std::exception& also) {
-      reason += "; close failed: " + words_of(also).value_or(also.what());
+      const auto said = words_of(also);
+      reason += "; close failed: " + (said ? *said : also.what());
     }
     if (!words) throw;
     std::throw_with_nested(DeviceFault(name_ + ": " + reason));
@@ -186,7 +187,8 @@ void Device::set_fault(const std::string& reason) {
     stop();
   } catch (const std::exception& error) {
     // Before the lock: an exception from Python waits for the interpreter to give its message.
-    const std::string words = words_of(error).value_or(error.what());
+    const auto said = words_of(error);
+    const std::string words = said ? *said : error.what();
     const std::lock_guard fault_lock(fault_mutex_);
     if (fault_.find(words) == std::string::npos) fault_ += "; hold failed: " + words;
   }
@@ -206,7 +208,7 @@ void Device::recover() {
     stop();
   } catch (const std::exception& error) {
     const auto words = words_of(error);
-    const std::string failure = "recover failed: " + words.value_or(error.what());
+    const std::string failure = "recover failed: " + (words ? *words : error.what());
     const std::lock_guard lock(fault_mutex_);
     if (fault_.empty()) fault_ = failure;
     is_recovering_ = false;

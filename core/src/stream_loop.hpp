@@ -234,7 +234,10 @@ struct StreamedArm::Loop {
     is_breaking = false;
   }
 
-  std::string words_of(const std::exception& error) const { return arm.words_of(error).value_or(error.what()); }
+  std::string words_of(const std::exception& error) const {
+    const auto words = arm.words_of(error);
+    return words ? *words : error.what();
+  }
 
   // Returns what to say of a controller that could not be stopped.
   std::string stop_leading() {

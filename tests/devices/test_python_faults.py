@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -38,6 +39,35 @@ def test_a_fault_that_a_driver_raises_is_told_as_it_says(limits: ArmLimits) -> N
             arm.state()
         assert caught.value.__cause__ is raised
         assert arm.fault == "joint 3 is above 60 degrees"
+
+
+class Mute(Exception):
+    """An exception that fails to say what it is."""
+
+    def __str__(self) -> str:
+        raise ValueError("no words")
+
+
+@pytest.mark.parametrize("call", ["open", "state", "hold", "recover", "close"])
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (Mute(), "Mute: (its text cannot be shown)"),
+        (OSError("no file \ud800"), r"OSError: no file \ud800"),
+        (DeviceFault("no file \ud800"), r"no file \ud800"),
+    ],
+)
+def test_an_exception_whose_message_is_no_text_is_a_fault_all_the_same(
+    limits: ArmLimits, call: str, error: Exception, text: str
+) -> None:
+    arm = Scripted(limits, **{call: error})
+    if call != "open":
+        arm.open()
+    with pytest.raises(DeviceFault, match=re.escape(text)) as caught:
+        getattr(arm, call)()
+    assert caught.value.__cause__ is error
+    arm.answers.clear()
+    arm.close()
 
 
 @pytest.mark.parametrize(
