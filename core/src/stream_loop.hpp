@@ -25,6 +25,8 @@ namespace rcs {
 inline constexpr double kPatience = 1.5;
 // How long `recover` and `guide` wait for the arm's thread besides what the vendor's functions take [s].
 inline constexpr double kAnswerTime = 2.0;
+// How many times as long as `silence` the vendor's `stop` may take, and what waits for power and brakes.
+inline constexpr double kStopping = 8.0, kStarting = 60.0;
 // How long an arm may take to come to rest [s] when it is closed; one that its controller brakes is then stopped.
 inline constexpr double kBrakingTime = 1.0;
 
@@ -80,7 +82,7 @@ struct StreamedArm::Loop {
 
   std::string silent_text() const {
     std::ostringstream text;
-    text << "the controller has not answered for " << silence()
+    text << "the controller has not answered for " << monotonic_time() - called_at
          << " s: look at its state, its power and its cable; the last call to it has not returned";
     return text.str();
   }
@@ -136,7 +138,7 @@ struct StreamedArm::Loop {
 
   // Whether there is a next one.
   bool tick(int late) {
-    last_tick = monotonic_time();
+    last_tick = called_at = monotonic_time();
     if (is_reading) try_to("read", [this] { read(); });
     if (is_abandoned.exchange(false)) {
       if (gave_way.exchange(false)) is_led = true;  // as a led one: stopped, and not started before `recover`
@@ -178,12 +180,13 @@ struct StreamedArm::Loop {
     if (is_done && has_come_to_rest) stand();
   }
 
-  // Have the vendor do something that may take long, of which no deadline is kept.
+  // Have the vendor do something that may take so many times as long as `silence`.
   template <typename Call>
-  void take_time(Call call) {
-    last_tick = kForever;
+  void take_time(double times, Call call) {
+    called_at = monotonic_time();
+    last_tick = called_at + times * arm.options_.silence;
     call();
-    last_tick = next = monotonic_time();
+    last_tick = called_at = next = monotonic_time();
   }
 
   template <typename Call>
@@ -220,17 +223,18 @@ struct StreamedArm::Loop {
   void break_down(const std::string& what, const std::exception& error) {
     is_breaking = true;
     const std::string failure = stop_leading();
-    if (what == "read") is_reading = false;
-    take_time([&] {
+    take_time(kStarting, [&] {
       const bool is_said = dynamic_cast<const DeviceFault*>(&error);
-      arm.set_fault((is_said ? "" : what + " failed: ") + words_of(error) + failure);
+      const std::string reason = (is_said ? "" : what + " failed: ") + words_of(error) + failure;
+      if (what == "read") is_reading = false;  // not before: whoever finds it so only knows that the link is lost
+      arm.set_fault(reason);
     });
     is_breaking = false;
   }
   void break_down(const std::string& reason) {
     is_breaking = true;
     const std::string failure = stop_leading();
-    take_time([&] { arm.set_fault(reason + failure); });
+    take_time(kStarting, [&] { arm.set_fault(reason + failure); });
     is_breaking = false;
   }
 
@@ -244,7 +248,7 @@ struct StreamedArm::Loop {
     std::string text;
     if (!is_led.exchange(false)) return text;
     is_asked = false;
-    take_time([&] {
+    take_time(kStopping, [&] {
       try {
         arm.stop();
       } catch (const std::exception& error) {
@@ -259,7 +263,7 @@ struct StreamedArm::Loop {
     if (what == Request::none) return;
     if (what == Request::clear) end_guiding();  // the hold that ended it comes with the fault
     try {
-      take_time([&] {
+      take_time(kStarting, [&] {
         if (what == Request::give_way) {
           // What came before ends with it. A hold that comes meanwhile is made again by `Device::command`.
           done = sent;
@@ -279,7 +283,7 @@ struct StreamedArm::Loop {
       if (what == Request::give_way) {
         is_led = true;  // it may have given way in part, and nobody else would hold it
         if (const std::string text = stop_leading(); !text.empty())
-          take_time([&] { arm.set_fault("guide failed" + text); });
+          take_time(kStarting, [&] { arm.set_fault("guide failed" + text); });
       }
     }
     request = Request::none;
@@ -350,7 +354,7 @@ struct StreamedArm::Loop {
 
   // From here on the arm is led, at first to where it is.
   void stand_up() {
-    take_time([this] {
+    take_time(kStarting, [this] {
       arm.start();
       is_led = true;  // from here on, what fails stops it
       read();
@@ -402,7 +406,7 @@ struct StreamedArm::Loop {
   std::mutex user;  // of those that use the arm; its thread never takes it
   Newest<Order> orders;
   Newest<Seen> seen;
-  std::atomic<double> period, last_tick = kForever;
+  std::atomic<double> period, last_tick = kForever, called_at = kForever;
   std::atomic<std::uint64_t> sent = 0;    // commands so far
   std::atomic<std::uint64_t> held = 0;    // of these, the ones that came before the last order to hold
   std::atomic<std::uint64_t> holds = 0;   // orders to hold so far

@@ -71,7 +71,7 @@ class Servo final : public rcs::StreamedArm {
   std::vector<rcs::StreamPoint> points;
   std::atomic<int> starts = 0, stops = 0, clears = 0;
   std::atomic<bool> is_lost = false, refuses = false, is_blocked = false, sleeps = false, fails_to_stop = false;
-  std::atomic<bool> fails_to_start = false, loses_at_start = false, fails_to_give_way = false;
+  std::atomic<bool> hangs_in_stop = false, fails_to_start = false, loses_at_start = false, fails_to_give_way = false;
   std::atomic<int> losses = 0;  // reads that fail
   Values commanded;             // given as it is
   std::atomic<bool> has_stopped_elsewhere = false;
@@ -112,6 +112,7 @@ class Servo final : public rcs::StreamedArm {
   void stop() override {
     ++stops;
     if (std::this_thread::get_id() != reader_) has_stopped_elsewhere = true;
+    while (hangs_in_stop) std::this_thread::sleep_for(1ms);
     if (fails_to_stop) throw std::runtime_error("it does not stop");
   }
   void clear() override {

@@ -116,6 +116,21 @@ void a_call_that_does_not_return_is_a_fault_and_does_not_keep_the_arm_from_being
   }
 }
 
+void a_stop_that_does_not_return_is_a_fault() {
+  rcs::StreamOptions options;
+  options.missed_ticks = 10000;
+  options.silence = 0.1;
+  Servo arm(options);
+  arm.open();
+  arm.command_joints(arm.state().joints);
+  await([&] { return arm.ticks() > 2; });
+  arm.hangs_in_stop = arm.refuses = true;
+  await([&] { return has(message_of([&] { arm.state(); }), "the controller has not answered for"); });
+  CHECK(!arm.fault().empty());
+  arm.hangs_in_stop = false;
+  await([&] { return message_of([&] { arm.recover(); }).empty(); });
+}
+
 void a_fault_ends_guiding_before_the_arm_recovers() {
   rcs::StreamOptions options;
   options.missed_ticks = 10000;
@@ -263,6 +278,7 @@ int main() {
   a_joint_that_does_not_follow_is_a_fault_by_its_number();
   too_many_missed_ticks_are_a_fault();
   a_call_that_does_not_return_is_a_fault_and_does_not_keep_the_arm_from_being_stopped();
+  a_stop_that_does_not_return_is_a_fault();
   a_fault_ends_guiding_before_the_arm_recovers();
   an_arm_that_half_starts_or_half_gives_way_is_stopped();
   a_reading_that_is_lost_while_a_person_guides_is_recovered_from();

@@ -102,6 +102,32 @@ def test_a_fault_of_a_read_stays_until_it_reads_again() -> None:
         np.testing.assert_array_equal(arm.state().joints, START)
 
 
+class Hesitant(OSError):
+    """An exception that takes its time to say what it is."""
+
+    def __str__(self) -> str:
+        time.sleep(0.1)
+        return "no answer"
+
+
+class Mute(OSError):
+    """An exception that fails to say what it is."""
+
+    def __str__(self) -> str:
+        raise ValueError("no words")
+
+
+@pytest.mark.parametrize(("error", "text"), [(Hesitant(), "no answer"), (Mute(), "(its text cannot be shown)")])
+def test_a_fault_of_a_read_has_the_drivers_words_also_when_they_come_late(error: Exception, text: str) -> None:
+    with Servo() as arm:
+        arm.error = error
+        with contextlib.suppress(DeviceFault):
+            while not arm.fault:
+                arm.state()
+        assert arm.fault.startswith("read failed: ")
+        assert arm.fault.endswith(f"{type(error).__name__}: {text}")
+
+
 def test_the_tcp_stays_in_its_box() -> None:
     kinematics = kinematics_of(FR3)
     home = np.array(FR3.home)
