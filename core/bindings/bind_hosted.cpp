@@ -119,4 +119,5 @@ void bind_hosted(nb::module_& m) {
       .def("show", nb::overload_cast<const rcs::HandState&>(&HostDesk::show), "state"_a)
       .def("show_failure", &HostDesk::show_failure, "reason"_a, "Say why there is no newer measurement.");
   m.attr("HOST_MEMORY") = rcs::host_memory_size();
+  m.attr("INTERFACE_VERSION") = rcs::kInterfaceVersion;
 }

@@ -38,8 +38,9 @@ HostMemory* map_host_memory(int file) {
   if (seals < 0 || (seals & F_SEAL_SHRINK) == 0)
     throw InvalidSetup("the memory shared with a host must be a memfd that cannot shrink (F_SEAL_SHRINK)");
   struct stat about{};
-  if (fstat(file, &about) != 0 || about.st_size < static_cast<off_t>(sizeof(HostMemory)))
-    throw InvalidSetup("the memory shared with a host needs " + std::to_string(sizeof(HostMemory)) + " bytes");
+  if (fstat(file, &about) != 0 || about.st_size != static_cast<off_t>(sizeof(HostMemory)))
+    throw InvalidSetup("the memory shared with a host has " + std::to_string(about.st_size) + " bytes, valid is " +
+                       std::to_string(sizeof(HostMemory)) + "; start hosts and programs with the same version of rcs");
   void* memory = mmap(nullptr, sizeof(HostMemory), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
   if (memory == MAP_FAILED)
     throw InvalidSetup(std::string("the memory of a host cannot be mapped: ") + strerror(errno));

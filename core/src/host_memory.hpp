@@ -102,7 +102,8 @@ struct HostMeasured {
   HostText<512> failure;  // why there is nothing newer, or empty
 };
 
-/// All zero at the beginning. The numbers that are waited for are those of the kernel's futex.
+/// All zero at the beginning. The numbers that are waited for are those of the kernel's futex. A change of these
+/// structures counts in `kInterfaceVersion`, which hosts tell programs.
 struct HostMemory {
   // What the program writes.
   std::atomic<std::int64_t> sign_of_program;  // ns, when it last showed that it runs
@@ -120,7 +121,7 @@ static_assert(std::atomic<std::uint32_t>::is_always_lock_free && std::atomic<std
 
 /// Now, on the clock that all processes of a machine share [ns].
 std::int64_t host_clock();
-/// Map the memory. Throws `InvalidSetup` when it is too small.
+/// Map the memory. Throws `InvalidSetup` when it has another size.
 HostMemory* map_host_memory(int file);
 void unmap_host_memory(HostMemory* memory);
 /// Wait until a number is no longer `value`, or for a time [s]; may return early.

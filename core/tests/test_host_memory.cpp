@@ -1,4 +1,8 @@
 // Values in shared memory, which one side writes while the other reads.
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
 #include <algorithm>
 #include <array>
 #include <atomic>
@@ -9,6 +13,7 @@
 
 #include "../src/host_memory.hpp"
 #include "check.hpp"
+#include "rcs/result.hpp"
 
 namespace {
 
@@ -33,6 +38,16 @@ void a_writer_that_takes_long_is_waited_for() {
   writer.join();
 }
 
+void memory_of_another_size_is_refused() {
+  for (const int more : {-8, 8}) {
+    const int file = memfd_create("rcs test", MFD_ALLOW_SEALING);
+    CHECK(ftruncate(file, static_cast<off_t>(sizeof(rcs::HostMemory)) + more) == 0);
+    CHECK(fcntl(file, F_ADD_SEALS, F_SEAL_SHRINK) == 0);
+    CHECK_THROWS(rcs::InvalidSetup, rcs::map_host_memory(file));
+    close(file);
+  }
+}
+
 void a_text_ends_with_a_whole_character() {
   rcs::HostText<8> text{};
   text.set("\u00e9\u00e9\u00e9\u00e9");
@@ -44,6 +59,7 @@ void a_text_ends_with_a_whole_character() {
 }  // namespace
 
 int main() {
+  memory_of_another_size_is_refused();
   a_text_ends_with_a_whole_character();
   a_writer_that_takes_long_is_waited_for();
   return rcs::test::result();

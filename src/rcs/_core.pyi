@@ -827,6 +827,8 @@ class HostDesk:
 
 HOST_MEMORY: int = 4472
 
+INTERFACE_VERSION: int = 5
+
 class IkStatus(enum.Enum):
     """The outcome of inverse kinematics."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -126,6 +127,24 @@ def test_sigterm_to_a_host_holds_its_devices_and_says_so(tmp_path: Path) -> None
         wait_for(lambda: arm.fault)
         assert arm.fault == "its host ends"
         wait_for(lambda: len(holds(tmp_path)) > before)
+
+
+def test_a_host_of_another_version_is_refused() -> None:
+    path = Place(driver="fake", address="old").socket
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        listener.listen()
+
+        def greet() -> None:
+            with listener.accept()[0] as connection:
+                connection.sendall(b"here")  # as before versions were told
+
+        greeting = threading.Thread(target=greet)
+        greeting.start()
+        with pytest.raises(DeviceFault, match=rf"process {os.getpid()}\) runs another version of rcs; end `rcs host`"):
+            hosted.call(path)
+        greeting.join()
+    path.unlink()
 
 
 def rcs_command(*words: str) -> subprocess.Popen[str]:

@@ -1,7 +1,7 @@
 // The version of the device interfaces, and what makes their classes visible from one library to another.
 #pragma once
 
-/// Counts the changes after which a device has to be compiled anew.
+/// Counts the changes after which a device has to be compiled anew, or hosts and programs would misread each other.
 #ifndef RCS_INTERFACE_VERSION
 #define RCS_INTERFACE_VERSION 5
 #endif

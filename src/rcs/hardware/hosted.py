@@ -24,7 +24,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from rcs._core import HOST_MEMORY, HostedArm, HostedGripper, HostedHand
+from rcs._core import HOST_MEMORY, INTERFACE_VERSION, HostedArm, HostedGripper, HostedHand
 from rcs.devices import Arm, Gripper, Hand
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.driver import Driver, HostTimes
@@ -35,8 +35,10 @@ START = 10.0
 """Timeout for the start of a host [s]; importing this package and NumPy takes 0.3 s on an idle machine."""
 STOP_TIME = 2.5
 """Timeout for a host that is to stop its devices [s]: it answers when they stand, after 1 s of braking at most."""
-GREETING, DEVICE, STOP, STOPPED = b"here", b"open", b"stop", b"held"
-"""Messages on the socket that precede the records; all have the same length."""
+GREETING = b"here" + struct.pack("=2I", INTERFACE_VERSION, HOST_MEMORY)
+"""A host's first message on a socket, with the layout of the shared memory."""
+DEVICE, STOP, STOPPED = b"open", b"stop", b"held"
+"""The next ones, which precede the records; all have the same length."""
 FOLDER = "RCS_HOSTS"
 """Environment variable that overrides the folder of the hosts' sockets."""
 
@@ -193,14 +195,13 @@ def call(path: Path) -> socket.socket | None:
     """Return a connection to the host at a socket; None if no host runs there.
 
     Raises:
-        DeviceFault: The host does not answer.
+        DeviceFault: The host does not answer, or runs another version.
     """
-    connection = socket.socket(socket.AF_UNIX)
+    connection, greeting = socket.socket(socket.AF_UNIX), b""
     connection.settimeout(HostTimes.close + 0.5)  # it may be closing its device before it ends
     try:
         connection.connect(str(path))
-        if connection.recv(len(GREETING)) == GREETING:
-            return connection
+        greeting = connection.recv(len(GREETING))
     except TimeoutError as err:
         raise DeviceFault(
             f"The host at {path} (process {peer(connection)}) does not answer; end it by `rcs stop` and check its "
@@ -208,7 +209,15 @@ def call(path: Path) -> socket.socket | None:
         ) from err
     except OSError:
         pass
+    if greeting == GREETING:
+        return connection
+    process = peer(connection)
     connection.close()
+    if greeting:
+        raise DeviceFault(
+            f"The host at {path} (process {process}) runs another version of rcs; end `rcs host`, or the program that "
+            "started it, and start it anew."
+        )
     return None
 
 
