@@ -46,6 +46,13 @@ def test_an_arm_holds_when_its_program_ends_by_itself(end: str, tmp_path: Path) 
     wait_for(lambda: not is_running(host))
 
 
+def test_a_host_whose_program_ended_before_it_served_ends() -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        ended.wait()
+    words = [sys.executable, "-P", "-m", "rcs.hardware.host", "fake", "orphan", "", str(ended.pid)]
+    assert subprocess.run(words, timeout=SOON, check=False).returncode == 0
+
+
 def test_an_arm_holds_when_its_program_stands_still(tmp_path: Path) -> None:
     process, host = program(
         tmp_path, "exec('while True:\\n  time.sleep(0.01)\\n  if arm.fault: print(arm.fault); break')"

@@ -1,7 +1,8 @@
 """The host: a process that runs a driver and serves the devices at one address to one program at a time.
 
-A program or `rcs host` starts it as `python -m rcs.hardware.host DRIVER ADDRESS [--stay]`. It ends together with the
-process that started it, on SIGTERM, and, without `--stay`, when no program uses it. Before it ends, its devices hold.
+A program or `rcs host` starts it as `python -m rcs.hardware.host DRIVER ADDRESS LIBRARY STARTER [--stay]`. It ends
+together with its starter, whose process ID that is, on SIGTERM, and, without `--stay`, when no program uses it. Before
+it ends, its devices hold.
 """
 
 from __future__ import annotations
@@ -53,9 +54,8 @@ class Host:
         self._ends = os.eventfd(0)  # signalled by each thread that has finished answering
         self._is_ending = False
 
-    def run(self, listener: socket.socket) -> None:
-        """Serve programs until the host ends."""
-        starter = os.pidfd_open(os.getppid())
+    def run(self, listener: socket.socket, starter: int) -> None:
+        """Serve programs until the host ends, or the process of the pidfd `starter` does."""
         try:
             while True:
                 ready, _, _ = select.select([listener, starter, self._ends], [], [])
@@ -275,6 +275,12 @@ def main() -> None:
     """Run the host until it ends."""
     words = [word for word in sys.argv[1:] if word != "--stay"]
     place = Place(driver=words[0], address=words[1], library=words[2])
+    try:
+        starter = os.pidfd_open(int(words[3]))
+    except ProcessLookupError:
+        return
+    if os.getppid() != int(words[3]):  # it ended while this process started, and the number is another's
+        return
     faulthandler.enable()
     signal.signal(signal.SIGTERM, _end)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program, which ends this process
@@ -292,7 +298,7 @@ def main() -> None:
     listener.listen()
     code = 0
     try:
-        Host(place, stays="--stay" in sys.argv).run(listener)
+        Host(place, stays="--stay" in sys.argv).run(listener, starter)
     except Exception:  # noqa: BLE001  it is printed
         traceback.print_exc()
         code = 1

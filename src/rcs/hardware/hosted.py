@@ -149,7 +149,7 @@ def start(place: Place, *, stays: bool = False) -> subprocess.Popen[bytes]:
     """
     _started[:] = [process for process in _started if process.poll() is None]
     words = [sys.executable, "-P", "-m", "rcs.hardware.host", place.driver, place.address, place.library]
-    words += ["--stay"] * stays
+    words += [str(os.getpid()), *["--stay"] * stays]
     # Output of a vendor's library must not mix with the program's standard output.
     process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=2, start_new_session=True)
     _started.append(process)
