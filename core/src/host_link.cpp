@@ -224,7 +224,8 @@ void HostLink::look_after() {
   Overdue overdue;
   while (!ends_ && !is_lost_) {
     memory_->sign_of_program = host_clock();
-    await_change(memory_->changes_of_fault, seen_, kLook);
+    const std::uint32_t now = memory_->changes_of_fault;
+    await_change(memory_->changes_of_fault, is_recovering_ ? now : seen_.load(), kLook);  // told after `recover`
     if (ends_) return;
     const bool has_ended = is_gone(socket_, process_file_);
     if (const std::uint32_t closing = closing_; has_ended && closing != 0 && has_come(memory_->done, closing)) return;

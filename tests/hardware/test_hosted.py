@@ -160,6 +160,16 @@ def test_recover_clears_a_fault_that_a_new_host_finds(tmp_path: Path) -> None:
         assert arm.fault == ""
 
 
+def test_waiting_for_a_recover_that_finds_another_fault_takes_no_time_of_the_processor(tmp_path: Path) -> None:
+    with unruly_arm(tmp_path) as arm:
+        drop(tmp_path, "recover", "trip and pause")
+        begin, used = time.monotonic(), time.process_time()
+        with pytest.raises(DeviceFault, match="collision"):
+            arm.recover()
+        used = time.process_time() - used
+        assert used < 0.05 < 0.15 <= time.monotonic() - begin
+
+
 @pytest.mark.parametrize("call", ["state", "command", "hold"])
 @pytest.mark.parametrize("deed", ["hang", "keep"])
 def test_a_call_that_does_not_return_is_a_fault_and_its_host_is_killed(deed: str, call: str, tmp_path: Path) -> None:

@@ -89,8 +89,10 @@ class Unruly:
             return
         deed = (self.box / call).read_text()
         (self.box / call).unlink()
-        if deed == "trip":
+        if deed.startswith("trip"):
             self.trip("collision")
+            if deed == "trip and pause":
+                DEEDS["pause"]()
         else:
             DEEDS[deed]()
 
