@@ -88,7 +88,7 @@ HostedArm::HostedArm(const Arm& like, HostLine::Connect connect, double answer)
 }
 
 void HostedArm::set_period(double period) {
-  if (period * rate_ < 1.0 || period >= 10.0)
+  if (!(period * rate_ >= 1.0 && period < 10.0))  // so that NaN is refused
     throw InvalidSetup(name() + ": valid is a period of commands from one tick to 10 s, of a streamed arm");
   period_ = period;
 }
