@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import json
+import os
 import queue
 import threading
 import time
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import rcs
-from rcs.virtual import sensor_process
+from rcs.virtual import sensor_process, sensors
 
 DRAWING = 2.0
 """How long a drawing takes [s]."""
+
+
+def test_what_a_writer_left_unfinished_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sensors, "WRITING", 0.01)
+    shared = sensors.SharedState(2)
+    reader = sensors.SharedState(2, shared.file)
+    shared.write(np.array([1.0, 2.0]))
+    _, moment = reader.read()
+    sensors._HEAD.pack_into(shared._memory, 0, 3, 0.0)  # as if it had been killed
+    shared._values[0] = 7.0
+    values, same = reader.read()
+    assert (values.tolist(), same) == ([1.0, 2.0], moment)
+    os.close(shared.file)
 
 
 class SlowEyes:

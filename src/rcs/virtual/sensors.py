@@ -45,6 +45,8 @@ FAULTS: Mapping[str, str] = {
 pictures; pictures with their end missing; unplugged for S seconds; another sensor's pictures and serial number."""
 START, END = 60.0, 5.0
 """Timeouts for the process's start, in which a busy machine composes its world, and for its answers and its end [s]."""
+WRITING = 0.5
+"""Longest time in which a state is written [s]."""
 _HEAD = struct.Struct("qd")
 
 
@@ -64,6 +66,7 @@ class SharedState:
             os.ftruncate(self.file, length)
         self._memory = mmap(self.file, length)
         self._values = np.frombuffer(self._memory, np.float64, size, _HEAD.size)
+        self._last: tuple[np.ndarray[Any, np.dtype[np.float64]], float] = (np.zeros(size), 0.0)
         self._count = 0
 
     def write(self, values: np.ndarray[Any, np.dtype[np.float64]]) -> None:
@@ -74,13 +77,20 @@ class SharedState:
         _HEAD.pack_into(self._memory, 0, 2 * self._count, time.monotonic())
 
     def read(self) -> tuple[np.ndarray[Any, np.dtype[np.float64]], float]:
-        """Return the newest values and their moment [s, monotonic]; the moment is 0 before the first."""
+        """Return the newest values and their moment [s, monotonic]; the moment is 0 before the first.
+
+        If the writer ended in the middle of writing, they are those of the read before.
+        """
+        limit = time.monotonic() + WRITING
         while True:
             before, moment = _HEAD.unpack_from(self._memory, 0)
             values = self._values.copy()
             if before % 2 == 0 and _HEAD.unpack_from(self._memory, 0)[0] == before:
-                return values, moment
-            time.sleep(2e-5)
+                self._last = (values, moment)
+            elif time.monotonic() < limit:
+                time.sleep(2e-5)
+                continue
+            return self._last
 
 
 class VirtualSensors:
