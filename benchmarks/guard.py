@@ -186,7 +186,7 @@ class Judge:
             touching = geoms[distance < 0.0]
             if len(touching) or share == 1.0:
                 return touching, least
-            # What is not free any more can only come into contact.
+            # A pair that is not free any more can only come into contact.
             free = np.maximum(distance - kept if least >= SAMPLING else distance, SAMPLING)
             numbers = self._number[geoms]
             for is_new in (False, True):

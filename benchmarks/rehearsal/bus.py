@@ -56,7 +56,7 @@ def measure(reads: int) -> dict[str, Any]:
     times, places = np.ascontiguousarray(ticks["time"]), ticks["joints"]  # a view would be copied at each search
     wrong, worst = 0, 0.0
     for asked, answered, joints in found:
-        # What a servo tells was measured at the end of the tick before.
+        # A servo's answer was measured at the end of the tick before.
         first, last = np.searchsorted(times, asked) - 3, np.searchsorted(times, answered) + 1
         near = places[max(first, 0) : last]
         beside = np.maximum(near.min(axis=0) - joints, joints - near.max(axis=0))

@@ -1,4 +1,4 @@
-// What a world calls while it steps: callbacks, and the view that they are given.
+// Callbacks that a world calls while it steps, and the view that they are given.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>

@@ -15,7 +15,7 @@ using namespace nb::literals;
 
 namespace {
 
-/// What Python gives to connect with: called with the GIL, and let go of with it.
+/// Python's function that connects: called with the GIL, and let go of with it.
 rcs::HostLine::Connect to_connect(nb::callable connect) {
   const auto held = std::shared_ptr<nb::callable>(new nb::callable(std::move(connect)), [](nb::callable* object) {
     const HeldGil gil;

@@ -61,7 +61,7 @@ Array forward_rows(rcs::Kinematics& self, const Rows& joints) {
   return to_array(poses, {count, 7});
 }
 
-// What is returned for a batch: joints, status, errors.
+// The result of a batch: joints, status, errors.
 struct Answers {
   Answers(std::size_t count, std::size_t n) : joints(count * n), status(count), errors(2 * count), shape{count, n} {}
 

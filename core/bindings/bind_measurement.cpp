@@ -1,4 +1,4 @@
-// What is measured after a step, and the reaction to collisions that is built on it.
+// Measurements after a step, and the reaction to collisions that is built on them.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>

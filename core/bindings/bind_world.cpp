@@ -94,7 +94,7 @@ rcs::StepTiming timing(std::int64_t numerator, std::int64_t denominator, bool is
   return {numerator, denominator, is_synchronous, max_substeps};
 }
 
-// What Ctrl-C has set is acted upon by the main thread, when it asks.
+// The main thread acts upon Ctrl-C when it calls this.
 void act_on_signals() {
   const HeldGil gil;
   if (PyErr_CheckSignals() != 0) nb::raise_python_error();

@@ -21,7 +21,7 @@
 
 namespace nb = nanobind;
 
-/// A device may take its time: other threads of Python run meanwhile. What Python overrides takes the GIL again.
+/// A device may take its time: other threads of Python run meanwhile. Overrides in Python take the GIL again.
 using WithoutGil = nb::call_guard<ReleasedGil>;
 
 /// What Python's `str` or another function shows of an object, with the GIL held. It never throws.
@@ -40,7 +40,7 @@ inline std::string full_name(nb::handle type) {
   return module == "builtins" ? name : module + "." + name;
 }
 
-/// What finds the override `name`, with the GIL held. Throws `TypeError` when the class does not have it.
+/// Find the override `name`, with the GIL held. Throws `TypeError` when the class does not have it.
 inline nb::detail::ticket require_override(const nb::detail::trampoline& trampoline, const char* name) {
   try {
     return {trampoline, name, nb::detail::str_hash(name), true};
@@ -60,7 +60,7 @@ inline bool has_override(const nb::detail::trampoline& trampoline, const char* n
 /// One of Python's own classes of errors, which both languages raise.
 inline nb::object error_class(const char* name) { return nb::module_::import_("rcs.errors").attr(name); }
 
-/// What an exception of a driver says as a fault. Ctrl-C, and errors of ours such as a missing package, are none.
+/// The words of a driver's exception as a fault. Ctrl-C, and errors of ours such as a missing package, are none.
 inline std::optional<std::string> words_of_python(const nb::python_error& error) {
   const HeldGil gil;
   if (!error.matches(PyExc_Exception) || error.matches(error_class("RcsError"))) return {};
@@ -125,7 +125,7 @@ struct PyCalls : Base {
   }
 };
 
-/// What all devices share. Sensors need not hold or arrive.
+/// The calls that all devices share. Sensors need not hold or arrive.
 template <typename Base>
 struct PyDevice : PyCalls<Base> {
   using PyCalls<Base>::PyCalls;

@@ -17,7 +17,7 @@ namespace nb = nanobind;
 
 inline bool is_anything(PyObject*) { return true; }
 
-/// What arguments and results are called in the typed stubs.
+/// Types of arguments and results in the typed stubs.
 struct ArrayLike : nb::object {
   NB_OBJECT_DEFAULT(ArrayLike, nb::object, "numpy.typing.ArrayLike", is_anything)
 };

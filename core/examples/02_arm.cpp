@@ -11,7 +11,7 @@
 
 namespace {
 
-/// What a vendor's library gives: a connection that is read from and written to. This one is a turn table that follows
+/// Stands for a vendor's library: a connection that is read from and written to. This one is a turn table that follows
 /// within some milliseconds.
 class Controller {
  public:

@@ -92,7 +92,7 @@ std::optional<Hit> CollisionChecker::sweep(Scratch& scratch, std::span<const dou
         // With what is due, all are looked at that are half way there: kinematics are computed less often.
         if (scratch.early[p] <= s) {
           const auto [a, b] = scene.pairs[p];
-          // What cannot come too near on the rest of the way need not be known better.
+          // A distance that cannot become too small on the rest of the way need not be known better.
           const double enough = options.margin + scratch.speed[p] * (1.0 - s) + kRounding;
           double distance = std::sqrt(squared_distance(scratch.data, a, b)) - scene.radii[p];
           if (distance < std::min(options.margin + kFar, enough)) distance = bound_of(model, scratch.data, a, b);

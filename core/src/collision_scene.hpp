@@ -1,4 +1,4 @@
-// What a collision checker keeps of the scene: shared by all queries, and one set of buffers per query.
+// The scene that a collision checker keeps: shared by all queries, and one set of buffers per query.
 #pragma once
 
 #include <memory>
@@ -11,7 +11,7 @@
 
 namespace rcs {
 
-/// What follows from the robots' own joints and what is attached to them, not from where other things are.
+/// Facts that follow from the robots' own joints and what is attached to them, not from where other things are.
 struct CollisionChecker::Geometry {
   MovingParts parts;
   std::vector<GeomPair> pairs{};

@@ -161,7 +161,7 @@ void Device::restore_deadline(TimePoint former) {
   has_deadline_ = is_ending;
 }
 
-// A command that comes while the device is held here is held too: it came after the end of the one before.
+// A command that arrives while the device is held here is held too: it is later than the end of the one before.
 void Device::lapse() {
   const std::lock_guard lock(holding_);
   if (!is_open_) return;
@@ -232,7 +232,7 @@ void Device::close() {
     deadline_ = kForever;
   }
   OpenDevices::get().remove(*this);
-  const bool is_known = has_fault_;  // a fault from before: whoever has the device was told
+  const bool is_known = has_fault_;  // a fault from before: the user of the device knows it
   // A target must not outlive the connection: the device would move on unwatched, or at the next `open`.
   const std::exception_ptr unheld = let_go("hold", &Device::do_hold, is_known);
   const std::exception_ptr unclosed = let_go("close", &Device::do_close, is_known);

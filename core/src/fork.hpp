@@ -4,8 +4,8 @@
 
 namespace rcs {
 
-/// How many forks lie between the start of the program and this process. What has threads remembers it when it is made:
-/// in a child, waiting for a thread that is not there would last for ever.
+/// How many forks lie between the start of the program and this process. Objects with threads remember it when they are
+/// made: in a child, waiting for a thread that is not there would last for ever.
 unsigned forks();
 
 }  // namespace rcs

@@ -1,4 +1,4 @@
-// What a camera can see. Private to the sources.
+// The space that a camera sees. Private to the sources.
 #pragma once
 
 #include <mujoco/mujoco.h>

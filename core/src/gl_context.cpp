@@ -55,7 +55,7 @@ struct Capabilities {
   int max_size = 0;
 };
 
-// What MuJoCo's renderer asks for is checked before it can: it ends the process when something is missing.
+// The needs of MuJoCo's renderer are checked before it is made: it ends the process when something is missing.
 Capabilities check_capabilities(GlLibrary& library) {
   const auto get_string = reinterpret_cast<const char* (*)(unsigned)>(library.function("glGetString"));
   const auto get_integer = reinterpret_cast<void (*)(unsigned, std::int32_t*)>(library.function("glGetIntegerv"));

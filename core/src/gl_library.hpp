@@ -1,4 +1,4 @@
-// What a backend of `GlContext` has to do. Private to the sources.
+// The interface of a backend of `GlContext`. Private to the sources.
 #pragma once
 
 #include <initializer_list>

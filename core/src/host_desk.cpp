@@ -88,7 +88,7 @@ std::optional<HostRequest> HostDesk::next(double seconds) {
 void HostDesk::answer(const HostRequest& request, HostOutcome outcome, const std::string& text, bool flag) {
   if (!request.is_void && request.stops != memory_->stops && device_.is_open()) {
     try {
-      device_.hold();  // it was told to while this was under way
+      device_.hold();  // `hold` was called while this was under way
     } catch (const std::exception& error) {
       device_.set_fault("holding failed: " + last_line(error.what()));
     }

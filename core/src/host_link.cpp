@@ -20,7 +20,7 @@ constexpr double kPatience = 0.01;
 /// How often the program shows that it runs, and looks after the host [s].
 constexpr double kLook = 0.02;
 
-/// Set while this thread tells the device of a fault of the host: there is nobody to hold it then, or it is held.
+/// Set while this thread reports a fault of the host to the device: nobody can hold it then, or it is held.
 thread_local bool t_is_telling = false;
 
 void tell(Device& device, const std::string& reason) {

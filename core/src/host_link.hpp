@@ -16,11 +16,11 @@ namespace rcs {
 /// Makes calls of a device calls of its host, and looks after the host in a thread.
 class HostLink {
  public:
-  /// With `is_recovering`, faults are not told before `recover`.
+  /// With `is_recovering`, faults are not reported before `recover`.
   HostLink(Device& device, const HostConnection& connection, double answer, bool is_recovering = false);
   ~HostLink();
 
-  /// Whether this thread tells a device of a fault of its host.
+  /// Whether this thread reports a fault of the host to a device.
   static bool is_telling();
 
   int process() const { return process_; }
@@ -31,7 +31,7 @@ class HostLink {
                  double period = 0.0);
   /// The last call: that the host ends the connection after it is no fault.
   void close();
-  /// Return when the device was told of the loss of the host, if it is lost.
+  /// Return when the loss of the host, if it is lost, was reported to the device.
   void settle() const;
   void recover();
   void hold();
@@ -55,7 +55,7 @@ class HostLink {
   HostMemory* const memory_;
   std::uint32_t asked_ = 0;
   std::atomic<std::uint32_t> closing_ = 0;  // number of the call that closes the device
-  std::atomic<std::uint32_t> seen_ = 0;     // changes of the host's fault that the device was told of
+  std::atomic<std::uint32_t> seen_ = 0;     // changes of the host's fault that the device knows of
   std::atomic<bool> is_recovering_;
   std::atomic<std::uint32_t> late_ = 0;  // the newest command whose end nobody has waited for
   std::atomic<std::uint32_t> told_ = 0;  // the newest refusal that somebody knows of

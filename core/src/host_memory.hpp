@@ -105,11 +105,11 @@ struct HostMeasured {
 /// All zero at the beginning. The numbers that are waited for are those of the kernel's futex. A change of these
 /// structures counts in `kInterfaceVersion`, which hosts tell programs.
 struct HostMemory {
-  // What the program writes.
+  // The program writes these.
   std::atomic<std::int64_t> sign_of_program;  // ns, when it last showed that it runs
   std::atomic<std::uint32_t> asked, hold_asked, stops;
   Guarded<HostAsked> request;
-  // What the host writes.
+  // The host writes these.
   std::atomic<std::int64_t> next_sign;  // ns, until when it shows again that it runs
   std::atomic<std::uint32_t> done, held, changes_of_fault;
   Guarded<HostAnswer> answer, refusal;  // the last one, and the last that was not done

@@ -167,8 +167,8 @@ End attempt(Workspace& scratch, const std::array<double, 7>& target, std::vector
   scratch.put(q);
   scratch.error = error_to(scratch, target);
   double translation = norm3(scratch.error.data()), rotation = norm3(scratch.error.data() + 3);
-  // What the target leaves as it is weighs most; an arm that meets the translation alone does not turn its tool far for
-  // the last millimetres of a translation that it cannot meet.
+  // The part of the pose that the target leaves as it is weighs most; an arm that meets the translation alone does not
+  // turn its tool far for the last millimetres of a translation that it cannot meet.
   const double asked = std::clamp(translation / std::max(rotation, 1e-12), kLightest, kHeaviest);
   const auto weight_at = [&](double miss) {
     if (!options.best_effort) return options.rotation_weight;

@@ -51,7 +51,7 @@ ArmBody::ArmBody(const mjModel* model, std::vector<int> joints, int tcp_site, in
 void ArmBody::check(const mjModel* model) const { check_model("ArmBody", signature_, model); }
 
 void ArmBody::drive_torques(const mjModel* model, const mjData* data, std::span<double> torques) const {
-  // What compensates gravity comes from the drives too, whether or not MuJoCo counts it as an actuator's.
+  // The compensation of gravity comes from the drives too, whether or not MuJoCo counts it as an actuator's.
   for (std::size_t j = 0; j < joints_.size(); ++j) {
     const int dof = model->jnt_dofadr[joints_[j]];
     torques[j] = data->qfrc_actuator[dof];

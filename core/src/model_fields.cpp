@@ -24,7 +24,7 @@ bool take(void* address, Values& values) {
   }
 }
 
-// MuJoCo tells the size of an element, which leaves float and int alike; its list of fields has the type.
+// MuJoCo has the size of an element, which leaves float and int alike; its list of fields has the type.
 bool take_as_field(const std::string& name, void* address, Values& values) {
 #define X(type, field, rows, columns) \
   if (name == #field) return take<type>(address, values);

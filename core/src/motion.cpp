@@ -21,7 +21,7 @@ constexpr double kVelocityTolerance = 1e-2;  // rad/s
 constexpr double kAstray = 0.2;
 // The same for an arm that gives way [rad].
 constexpr double kPushedAway = 1.0;
-// An arm that was told to hold and is this far from where it was led to was pushed, or is blocked [rad].
+// An arm that holds, and is this far from where it was led to, was pushed, or is blocked [rad].
 constexpr double kPushed = 0.03;
 // Places of a motion at which torques are looked at: of one that is to be gone to its end, and of others.
 constexpr int kPlaces = 12, kFewPlaces = 4;
@@ -125,8 +125,8 @@ void Motion::know_forces(const mjModel* model, mjData* data, Copy& copy) {
   mj_rne(model, data, 0, copy.still.data());
 }
 
-// What the motors exert beside what accelerations take [Nm], of all degrees of freedom: against the forces of speed,
-// and against gravity, that of a load included.
+// The torques of the motors beside those for accelerations [Nm], of all degrees of freedom: against the forces of
+// speed, and against gravity, that of a load included.
 void Motion::know_bias(const mjModel* model, mjData* data, Copy& copy) {
   know_forces(model, data, copy);
   mj_passive(model, data);
@@ -141,8 +141,8 @@ void Motion::know_speed_forces(const mjModel* model, mjData* data, Copy& copy) {
   for (std::size_t k = 0; k < copy.bias.size(); ++k) copy.bias[k] -= copy.still[k];
 }
 
-// What the planned motion may have of its acceleration, by inverse dynamics. One that goes far before it is planned
-// anew is looked at where it leads; others with the inertia that the arm has where it is.
+// The share of its acceleration that the planned motion may have, by inverse dynamics. A motion that goes far before it
+// is planned anew is looked at where it leads; others with the inertia that the arm has where it is.
 double Motion::share_of_acceleration(const mjModel* model, mjData* data, const double* memory, Copy& copy,
                                      bool is_far) {
   const std::size_t n = joints_.size();
@@ -354,7 +354,7 @@ std::vector<double> Motion::preview(const mjModel* model, mjData* data, int copy
   // In the same physics steps: rounding decides whether joints that go straight can brake straight.
   for (double left = step.duration; left > 0.5 * model->opt.timestep; left -= model->opt.timestep)
     trajectory.advance(tried.data(), model->opt.timestep);
-  // What braking may ask of the motors depends on where, and how fast, the arm will be then.
+  // The torques that braking may take depend on where, and how fast, the arm will be then.
   now.qpos.assign(data->qpos, data->qpos + model->nq);
   now.qvel.assign(data->qvel, data->qvel + model->nv);
   trajectory.look(tried.data(), 0.0);

@@ -43,7 +43,7 @@ struct Colour {
 
 }  // namespace
 
-/// What one thread draws with: its own way, or OpenGL.
+/// The tools of one thread that draws: its own way, or OpenGL.
 struct PixelCameras::Painter {
   std::unique_ptr<SceneView> view;
   std::unique_ptr<Rasteriser> rasteriser;

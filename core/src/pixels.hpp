@@ -10,7 +10,7 @@
 
 namespace rcs {
 
-/// What was drawn, in OpenGL's order: the first row is the bottom one.
+/// A drawn picture, in OpenGL's order: the first row is the bottom one.
 struct Canvas {
   int width = 0;
   int height = 0;

@@ -81,7 +81,7 @@ std::string Rasteriser::why_not(const mjModel& model, std::span<const bool> grou
     const int type = model.geom_type[geom];
     if (type == mjGEOM_HFIELD || type == mjGEOM_SDF) return "it has a height field or a signed distance field";
   }
-  // Of materials that no geom has, too: which geom has which may change with every episode.
+  // Materials that no geom has count, too: which geom has which may change with every episode.
   for (int i = 0; i < model.nmat * mjNTEXROLE; ++i)
     if (model.mat_texid[i] >= 0) return "it has textures";
   for (int camera = 0; camera < model.ncam; ++camera)

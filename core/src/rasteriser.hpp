@@ -22,7 +22,7 @@
 
 namespace rcs {
 
-/// What is drawn to, rows from the top.
+/// The picture that is drawn, rows from the top.
 struct Sheet {
   int width = 0;
   int height = 0;
@@ -32,7 +32,7 @@ struct Sheet {
   void clear(int new_width, int new_height);
 };
 
-/// What a camera that stands still sees of what never moves: kept as long as it stays the same.
+/// The view of what never moves by a camera that stands still: kept as long as it stays the same.
 struct Backdrop {
   std::vector<mjvGeom> geoms{};
   std::vector<mjvLight> lights{};
@@ -41,8 +41,8 @@ struct Backdrop {
 };
 
 /// Draws as MuJoCo's OpenGL does at quality `fast`: light is computed at the corners of triangles and mixed between
-/// them; no textures, no shadows. What differs is rounding: edges of shapes by less than a pixel, colours by a few
-/// parts in 255.
+/// them; no textures, no shadows. Only rounding differs: edges of shapes by less than a pixel, colours by a few parts
+/// in 255.
 class Rasteriser {
  public:
   explicit Rasteriser(const mjModel* model, Roundness round = {});
@@ -51,7 +51,7 @@ class Rasteriser {
   /// first, or taken from there.
   void draw(const mjvScene& scene, const mjvGLCamera& eye, Sheet& sheet, Backdrop* backdrop = nullptr);
 
-  /// What in a model cannot be drawn, for a message; empty if all can.
+  /// The part of a model that cannot be drawn, for a message; empty if all can.
   static std::string why_not(const mjModel& model, std::span<const bool> groups);
 
  private:

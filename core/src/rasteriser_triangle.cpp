@@ -43,7 +43,7 @@ Rasteriser::Corner Rasteriser::project(const float* place, const float* colour) 
           colour[2]};
 }
 
-// What is before the near plane, behind the far plane or far beside the picture is cut off (Sutherland and Hodgman,
+// Parts before the near plane, behind the far plane or far beside the picture are cut off (Sutherland and Hodgman,
 // 1974).
 void Rasteriser::draw_clipped(const std::uint32_t* corners, float alpha, Sheet& sheet) const {
   struct Point {
@@ -154,7 +154,7 @@ void Rasteriser::draw_triangle(const Corner (&corners)[3], float alpha, Sheet& s
       }
       continue;
     }
-    // Of a wide triangle, the part of the row that is inside; then whole vectors of pixels.
+    // For a wide triangle, the part of the row that is inside; then whole vectors of pixels.
     float start = 0.0F, stop = static_cast<float>(width - 1);
     const auto cut = [&](float at_left, float dx) {  // where at_left + x dx is at least -edge
       const float bound = (-edge - at_left) / dx;

@@ -16,7 +16,7 @@
 
 namespace rcs {
 
-/// What one call of `render_states` asks for. Threads take rows until none is left.
+/// The work of one call of `render_states`. Threads take rows until none is left.
 struct RenderPool::Job {
   std::span<const double> states;
   std::span<const Film> films;

@@ -105,7 +105,7 @@ void check_picture(const mjModel& model, const RenderOptions& options, int camer
     throw std::invalid_argument("renderer: a lens is for a camera with perspective, and this one is orthographic");
 }
 
-/// What a renderer has until it is closed.
+/// The parts of a renderer until it is closed.
 struct Renderer::Open {
   Open(const mjModel* model, const RenderOptions& options) : gl(options.backend), view(model, options) {
     mjr_defaultContext(&context);

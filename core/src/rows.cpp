@@ -71,7 +71,7 @@ bool limit_rows(std::span<const double> asked, std::span<const double> last, std
       target[i] = share < 1.0 ? target[i] + share * (asked[i] - target[i]) : asked[i];
       is_row = is_row || std::abs(target[i] - asked[i]) > rounding;
     }
-    // What counts as not cut leaves as it came, in every row: a copy must not depend on what happens to another.
+    // A row that counts as not cut keeps its bits, always: a copy must not depend on what happens to another.
     if (!is_row) std::copy_n(asked.begin() + row * width, width, target.begin() + row * width);
     is_cut[row] = is_row;
     is_any = is_any || is_row;

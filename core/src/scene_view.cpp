@@ -11,8 +11,8 @@ namespace {
 
 constexpr int kMaxGeomsBeyondModel = 1000;  // tendon segments, flexes, skins
 
-// What a geom of the scene is called in a picture of ids: one more than its number among geoms, flexes, skins and
-// tendons, in this order; 0 for what has none.
+// The id of a geom of the scene in a picture of ids: one more than its number among geoms, flexes, skins and tendons,
+// in this order; 0 for a geom that has none.
 int id_of(const mjvGeom& geom, const mjModel& model) {
   const auto first = [&](mjtSize before) { return static_cast<int>(before) + geom.objid + 1; };
   switch (geom.objtype) {
@@ -81,7 +81,7 @@ mjvGLCamera SceneView::look(int camera, const Lens* lens, int picture_height, in
   scene_.ngeom = 0;
   const Frustum frustum(eye, static_cast<double>(canvas_width) / canvas_height);
   for (const mjvGeom& geom : geoms_)
-    // What is outside may still throw a shadow into the picture or be mirrored in it.
+    // A geom outside may still throw a shadow into the picture or be mirrored in it.
     if (!is_fast_ || frustum.may_show(geom)) scene_.geoms[scene_.ngeom++] = geom;
   return eye;
 }

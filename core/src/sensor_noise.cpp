@@ -31,7 +31,7 @@ class Row {
   void look(const std::uint16_t* depth_mm, float product) {
     std::fill(nearest_.begin(), nearest_.end(), 0.0F);
     for (int x = 0; x < width_; ++x) {
-      // What is nowhere is as far as can be told.
+      // A pixel without depth counts as the farthest.
       disparity_[x] = product / (depth_mm[x] > 0 ? 1e-3F * static_cast<float>(depth_mm[x]) : kFarthest);
       float* place = &nearest_[place_of(x)];
       // In two columns: a surface has no gaps where its pixels are more than a column apart.
@@ -47,7 +47,7 @@ class Row {
   bool is_hidden(int x) const { return hidden_[x] != 0; }
 
  private:
-  // What is farther out than a picture's width is in neither picture.
+  // A point farther out than a picture's width is in neither picture.
   std::size_t place_of(int x) const {
     const float column = std::max(in_right(x), -static_cast<float>(width_));
     return static_cast<std::size_t>(column + static_cast<float>(width_));

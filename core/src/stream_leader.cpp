@@ -81,7 +81,7 @@ void StreamLeader::follow(std::span<const double> joints, double period) {
   const std::span<const double> now = position();
   const std::array most{&limits_.velocity, &limits_.acceleration, &limits_.jerk};
   for (std::size_t i = 0; i < goal_.size(); ++i) {
-    // What is found outside may stay there.
+    // A joint that is outside may stay there.
     goal_[i] = std::clamp(joints[i], std::min(lower(i), now[i]), std::max(upper(i), now[i]));
     is_outside = is_outside || goal_[i] != joints[i];
     double value = goal_[i];

@@ -23,7 +23,7 @@ class StreamLeader {
   void stand(std::span<const double> joints);
   /// Follow a command until the next, which is to come after `period` [s].
   void follow(std::span<const double> joints, double period);
-  /// The time of the command has passed, and no other came: go on to where it was.
+  /// The time of the command has passed without another one: go on to where it was.
   void go_on(double period);
   /// Come to rest, and stay there.
   void brake();

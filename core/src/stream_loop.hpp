@@ -36,7 +36,7 @@ inline MotionLimits motion_limits(const std::string& name, const ArmLimits& limi
   return {limits.joint_lower, limits.joint_upper, limits.joint_velocity, limits.joint_acceleration, limits.joint_jerk};
 }
 
-// What the arm's thread has, and what others exchange with it. Members are the thread's unless they say otherwise.
+// The data of the arm's thread, and its exchange with others. Members are the thread's unless they say otherwise.
 struct StreamedArm::Loop {
   struct Order {
     std::uint64_t number = 0;
@@ -201,7 +201,7 @@ struct StreamedArm::Loop {
   }
 
   void read() {
-    // What is refused must not be published: others index its rows.
+    // A state that is refused must not be published: others index its rows.
     fresh = measured;
     fresh.time = fresh.device_time = kNaN;
     arm.read(fresh);
@@ -265,7 +265,7 @@ struct StreamedArm::Loop {
     try {
       take_time(kStarting, [&] {
         if (what == Request::give_way) {
-          // What came before ends with it. A hold that comes meanwhile is made again by `Device::command`.
+          // Earlier commands end with it. A hold that is made meanwhile is made again by `Device::command`.
           done = sent;
           taken_holds = holds;
           is_led = is_asked = false;

@@ -57,7 +57,7 @@ void TcpSprings::add(std::span<const double> place, std::span<const double> led,
     force[a] = stiffness_[a] * error[a] + damping_[a] * slip[a];
     square[7 * a] += kSingular * kSingular;
   }
-  // Of the posture's torques, those that the TCP feels are taken away: Jᵀ (J Jᵀ)⁻¹ J of them.
+  // Those of the posture's torques that the TCP feels are taken away: Jᵀ (J Jᵀ)⁻¹ J of them.
   mju_cholFactor(square.data(), 6, 0.0);
   Six felt;
   mju_cholSolve(felt.data(), square.data(), projected.data(), 6);

@@ -19,7 +19,7 @@ class TcpSprings {
   TcpSprings(const mjModel* model, const std::vector<int>& joints, const Springs& springs);
 
   /// Add the torques that pull joints from `place` to `led`, positions [rad] and velocities [rad/s] one after the
-  /// other. What the springs leave free keeps to `led` by a soft spring at the joints.
+  /// other. Motions that the springs leave free keep to `led` by a soft spring at the joints.
   void add(std::span<const double> place, std::span<const double> led, std::span<double> torques);
 
  private:

@@ -22,7 +22,7 @@ namespace rcs {
 namespace {
 
 constexpr std::array kSignals{SIGTERM, SIGHUP};
-// How long devices may take to hold. Who sends a signal does not wait for long.
+// How long devices may take to hold. The sender of a signal does not wait for long.
 constexpr std::chrono::seconds kLongest{1};
 
 sem_t g_told;  // a handler may do little more than post it
@@ -49,7 +49,7 @@ void wait_for_signal() {
   const int number = g_signal;
   const auto held = std::make_shared<std::binary_semaphore>(0);
   const auto stop = [number, held] {
-    stop_all(std::string("the program was told to end (") + strsignal(number) + ")");
+    stop_all(std::string("a signal ended the program (") + strsignal(number) + ")");
     held->release();
   };
   try {

@@ -1,4 +1,4 @@
-// What SIGTERM and SIGHUP do to a program with open devices. Private to the sources.
+// The effect of SIGTERM and SIGHUP on a program with open devices. Private to the sources.
 #pragma once
 
 namespace rcs {

@@ -14,7 +14,7 @@ namespace {
 // How far a stream that ends abruptly may be overshot [rad], up to this share of the velocity limit; none at twice of
 // it.
 constexpr double kOvershoot = 0.029;
-// What is promised [rad].
+// The overshoot that is promised [rad].
 constexpr double kPromise = 0.0299;
 constexpr double kSlow = 0.5;
 // Part of the velocity limit at which targets are followed; what is left is for catching up.
@@ -23,7 +23,7 @@ constexpr double kCruise = 0.9995;
 constexpr double kSlack = 0.005;
 // Part of the velocity limit below which a target is at rest.
 constexpr double kResting = 1e-4;
-// What rounding makes of the end of a trajectory [rad].
+// The effect of rounding at the end of a trajectory [rad].
 constexpr double kRounding = 1e-6;
 // Places that a joint is aimed at, each nearer than the one before, until it could stop; the last is rest.
 constexpr int kTries = 5;

@@ -1,4 +1,4 @@
-// What Ruckig computes for a trajectory: of all joints together, or of each by itself.
+// Ruckig's plan of a trajectory: of all joints together, or of each by itself.
 #pragma once
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 
 namespace rcs {
 
-// Rows of `dof` numbers in the memory. What is planned follows from the last five and the numbers behind.
+// Rows of `dof` numbers in the memory. The plan follows from the last five and the numbers behind.
 enum Row { kTarget, kLast, kStream, kPosition, kVelocity, kAcceleration, kAim, kEnd, kRows };
 // After the rows: time since the plan's start; its least duration, or below 0 where it is to brake and no more; and the
 // share by which the acceleration is less than its limit; whether each joint goes by itself (1), or all wait for each
@@ -80,7 +80,7 @@ struct Trajectory::Plan {
   bool is_still = true;   // it starts where it ends
   bool is_apart = false;  // each joint goes by itself
   std::vector<double> position, velocity, acceleration;
-  // What the law looks at: the targets, at which velocity they move, how much later the plan is to meet them [s], and
+  // The inputs of the law: the targets, at which velocity they move, how much later the plan is to meet them [s], and
   // how far the range goes on behind them; where the arm is.
   std::vector<double> target, end, later, room;
   std::array<std::vector<double>, 3> from;

@@ -7,9 +7,9 @@
 
 #include "rcs/result.hpp"
 
-// What MuJoCo's own Python package and thread pool trap errors with: a handler for this thread alone.
-// `mju_setLogHandler` would set one for all threads, the user's too. It is exported, and MuJoCo is pinned to one exact
-// version.
+// MuJoCo's own Python package and thread pool trap errors with these: a handler for this thread alone.
+// `mju_setLogHandler` would set one for all threads, the user's too. Both functions are exported, and MuJoCo is
+// pinned to one exact version.
 extern "C" {
 mjfLogHandler _mjPRIVATE_setTlsLogHandler(mjfLogHandler handler);
 mjfLogHandler _mjPRIVATE_getGlobalLogHandler(void);

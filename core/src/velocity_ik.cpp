@@ -1,9 +1,8 @@
 // Joint velocities for a twist of the TCP, and where they lead.
 //
-// What a twist asks for is divided along the principal directions of the arm's manipulability. Of each, the arm gets as
-// much as it can do: near a singular posture, the direction that is lost there is damped, and no other one. Maciejewski
-// and Klein, "Numerical filtering for the operation of robotic manipulators through kinematically singular
-// configurations", 1988.
+// A twist is divided along the principal directions of the arm's manipulability, and the arm follows each as far as it
+// can: near a singular posture, the direction that is lost there is damped, and no other one. Maciejewski and Klein,
+// "Numerical filtering for the operation of robotic manipulators through kinematically singular configurations", 1988.
 #include <algorithm>
 #include <cmath>
 #include <utility>
@@ -38,7 +37,7 @@ double norm6(const Task& v) {
 class Posture {
  public:
   Posture(std::size_t dof, const Task& twist, double damping) : dof_(dof), damping_(damping), is_free_(dof, 1) {
-    // What is asked for decides what weighs more where a joint's limit allows only one of the two: a push does not turn
+    // The twist decides which part weighs more where a joint's limit allows only one of the two: a push does not turn
     // the tool, a turn does not move it. Both are multiplied, never divided, so that nothing is damped for it.
     const double linear = norm3(twist.data()), angular = norm3(twist.data() + 3);
     const double ratio = linear / std::max(angular, 1e-12);
@@ -83,8 +82,8 @@ class Posture {
     }
   }
 
-  // Nearness to a singular posture: 1 and more where nothing is damped, 0 in it. Of an arm with few joints, only what
-  // moves the TCP counts: those three directions weigh most.
+  // Nearness to a singular posture: 1 and more where nothing is damped, 0 in it. For an arm with few joints, only
+  // directions that move the TCP count: those three weigh most.
   double nearest_singularity() const {
     if (is_regular_) return 1.0;
     double nearest = 1.0;
@@ -109,7 +108,7 @@ class Posture {
     add_transposed(pulled, 1.0, joints);
   }
 
-  // What of a motion of the joints leaves the TCP where it is.
+  // Keep the part of a motion of the joints that leaves the TCP where it is.
   void project(std::vector<double>& joints) const {
     for (std::size_t c = 0; c < dof_; ++c)
       if (!is_free_[c]) joints[c] = 0.0;

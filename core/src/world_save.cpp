@@ -1,4 +1,4 @@
-// What decides the future of a copy of a world, saved and written back.
+// The state that decides the future of a copy of a world, saved and written back.
 #include <array>
 #include <cstddef>
 #include <string>

@@ -17,7 +17,7 @@ inline void report(bool passed, const char* what, const char* file, int line) {
   std::fprintf(stderr, "%s:%d: failed: %s\n", file, line, what);
 }
 
-/// What `main` returns: 0 if every check passed, else 1.
+/// The result of `main`: 0 if every check passed, else 1.
 inline int result() { return failures == 0 ? 0 : 1; }
 
 }  // namespace rcs::test

@@ -19,7 +19,7 @@ using namespace nb::literals;
 
 namespace {
 
-/// What a vendor's library gives. This one is a controller whose joints come to a target within some milliseconds.
+/// Stands for a vendor's library: a controller whose joints come to a target within some milliseconds.
 class Connection {
  public:
   Connection(const std::string& address, std::vector<double> joints)

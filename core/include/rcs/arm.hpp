@@ -80,7 +80,7 @@ class RCS_API Arm : public Device {
   ArmLimits limits_;
   std::set<CommandKind> commands_;
   std::vector<double> target_;  // the last one [rad]
-  // What was measured since then [rad]: a target may be computed from any measurement, also when a joint that is out of
+  // Measured since then [rad]: a target may be computed from any measurement, also when a joint that is out of
   // its range has moved by a step of its encoder since.
   std::vector<double> least_, most_;
   bool is_commanded_ = true;           // and nothing was measured since

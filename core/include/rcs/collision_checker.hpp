@@ -54,7 +54,7 @@ struct SweepOptions {
 /// obstacle, and with a margin of at least half a step no contact is.
 ///
 /// Calls from several threads are as good as one after the other: each computes in memory of its own, which is kept for
-/// the next call. Whoever changes the scene meanwhile (`set_state`, `attach`, `allow`) changes it for later calls.
+/// the next call. A change of the scene meanwhile (`set_state`, `attach`, `allow`) is one for later calls.
 class CollisionChecker {
  public:
   /// `robots` are the joint ids of each robot in `model`, hinges and slides with limits. The model is copied.

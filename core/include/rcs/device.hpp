@@ -69,7 +69,7 @@ class RCS_API Device {
   /// Have the device leave its own fault state, hold where it is now, and only then forget the fault. Throws
   /// `DeviceFault` if one of these fails or a new fault comes meanwhile; the device is then in the fault state.
   void recover();
-  /// Hold and let go of the device. Closing twice is harmless. What fails is a fault and is thrown when all is done;
+  /// Hold and let go of the device. Closing twice is harmless. A failure is a fault and is thrown when all is done;
   /// nothing is thrown in the fault state, which is known.
   void close();
   /// True if it can be stopped, unlike a sensor.
@@ -109,7 +109,7 @@ class RCS_API Device {
 
   /// For how long the command that is being sent is valid [s], for a device that keeps the time by itself, too.
   double valid_for() const { return valid_for_; }
-  /// Call a function of the driver. What it throws becomes the device's fault, and `DeviceFault`.
+  /// Call a function of the driver. An exception becomes the device's fault, and `DeviceFault`.
   template <typename Function>
   auto driven(const char* call, Function function) {
     try {

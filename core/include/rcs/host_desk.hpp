@@ -26,7 +26,7 @@ struct HostRequest {
   double valid_for;             ///< s, what is left of it
   std::optional<double> force;  ///< N, of grippers
   double period;                ///< s, between commands to a streamed arm; 0 for the usual one
-  std::uint32_t stops;          ///< how often the program had told the device to hold when it asked
+  std::uint32_t stops;          ///< how often the program had held the device when it asked
   bool is_void;                 ///< the device was held since, so that the request counts no more
 };
 

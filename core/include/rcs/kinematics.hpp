@@ -47,9 +47,9 @@ struct IkOptions {
   /// depends on the path alone, not on the number of solves along it, and a TCP at rest means an arm at rest.
   double preferred_weight = 2.0;
   /// Follow the target: out of reach, answer with the `nearest` pose instead of the start, and beyond `max_step`
-  /// with a step in the direction of the target. What the target does not ask for is kept: a push against the end of
-  /// the reach does not turn the tool, and a turn against a joint's limit does not move it. A joint that starts outside
-  /// its limits goes no farther out, and need not come back.
+  /// with a step in the direction of the target. Everything that the target leaves unchanged is kept: a push against
+  /// the end of the reach does not turn the tool, and a turn against a joint's limit does not move it. A joint that
+  /// starts outside its limits goes no farther out, and need not come back.
   bool best_effort = false;
   std::uint64_t seed = 0;  ///< of the restarts: same seed, same answer
 };

@@ -74,8 +74,8 @@ class ArmLoads final : public Measurement {
 class FingerContacts final : public Measurement {
  public:
   /// `fingers` hold one flag per geom each, `own` flags of the robot's own geoms, which do not count as touched;
-  /// `force` is in N. What cannot move is touched, but is no object to be grasped. Throws `InvalidSetup` for flags of
-  /// another model.
+  /// `force` is in N. A geom that cannot move is touched, but is no object to be grasped. Throws `InvalidSetup` for
+  /// flags of another model.
   FingerContacts(const mjModel* model, const std::vector<std::vector<std::uint8_t>>& fingers,
                  const std::vector<std::uint8_t>& own, double force);
   int size() const override { return fingers_ + 1; }

@@ -61,10 +61,10 @@ struct Clamped {
 ///
 /// `open` connects and reads; the first command, which must be near the measured joints, starts the arm. From then on
 /// each tick writes a point, within the limits of position, speed, acceleration and jerk. A command whose time is over,
-/// `hold` and faults from outside brake the arm within these limits, and it is led where it stands. What `read` or
-/// `write` throws, a joint that is not where it is led, and too many missed ticks are faults that stop the arm at once,
-/// by the controller's own means; after `recover`, it is started again by the next command. A call that does not return
-/// is a fault, too: `read` and `write` after `silence`, `stop` after 8 times, the others after 60 times as long.
+/// `hold` and faults from outside brake the arm within these limits, and it is led where it stands. Exceptions of
+/// `read` or `write`, a joint that is not where it is led, and too many missed ticks are faults that stop the arm at
+/// once, by the controller's own means; after `recover`, it is started again by the next command. A call that does not
+/// return is a fault, too: `read` and `write` after `silence`, `stop` after 8 times, the others after 60 times as long.
 ///
 /// Threads: all these functions of the vendor run on the arm's thread, but for `connect` and `disconnect`, which run
 /// before it starts and after it ends; and for `stop`, which may run on another thread beside a `read` or `write` that

@@ -65,7 +65,7 @@ class RCS_API Trajectory {
   int dof() const { return static_cast<int>(limits_.lower.size()); }
   const MotionLimits& limits() const { return limits_; }
 
-  /// True if the joints were told to hold: the order is one number that is not 0, which any thread may write.
+  /// True if the joints are to hold: the order is one number that is not 0, which any thread may write.
   bool is_told_to_hold(const double* memory) const { return memory[size(dof()) - 1] != 0.0; }
   /// True if the target that was written into the memory asks for a new plan.
   bool is_asked(const double* memory);
