@@ -17,14 +17,14 @@ class InvalidSetup(RcsError, ValueError):
 
 
 class UnknownName(RcsError, KeyError):
-    """A robot, task, camera or other part was asked for by a name that nothing has."""
+    """No robot, task, camera or other part has the given name."""
 
     def __init__(self, kind: str, given: str, known: Iterable[str], hint: str = "") -> None:
         """Build the message: what was given, the nearest match, all known names.
 
         Args:
             kind: Kind of thing that was looked up, such as "robot".
-            given: The name that was asked for.
+            given: The given name.
             known: The names that exist.
             hint: One more sentence on what to do, if there is one.
         """
@@ -51,7 +51,7 @@ def _unknown_name(kind: type[UnknownName], message: str) -> UnknownName:
 
 
 class WrongOrder(RcsError, RuntimeError):
-    """A call came at a time when it has no meaning: a step before reset, a use after close."""
+    """A call was made when it has no meaning: a step before reset, a use after close."""
 
 
 class MissingDependency(RcsError, ImportError):
@@ -72,7 +72,7 @@ def package_of(name: str, extra: str, purpose: str) -> Any:
     Args:
         name: The package or module.
         extra: The extra, such as "hdf5".
-        purpose: What needs which package, as a sentence without its end.
+        purpose: The part and the package that it needs, as a sentence without its end.
 
     Raises:
         MissingDependency: It is not installed; the message names the extra.

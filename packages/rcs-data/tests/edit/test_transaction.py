@@ -129,7 +129,7 @@ def test_what_was_recorded_since_an_edit_is_not_lost_by_an_undo(dataset: Path) -
     with DatasetWriter.open(dataset, info, resume=True) as writer:
         last = Dataset.open(dataset).episodes[0]
         record(writer, "new", last)
-    with pytest.raises(DatasetError, match=r"Episodes came to .* since 'delete'"):
+    with pytest.raises(DatasetError, match=r"Episodes were added to .* since 'delete'"):
         edit.undo(dataset)
     assert [e.id for e in Dataset.open(dataset).episodes] == ["000000", "000002", "000003", "new"]
 
@@ -143,7 +143,7 @@ def test_the_id_of_a_deleted_episode_is_free_and_neither_episode_is_lost(dataset
     assert check(dataset).is_ok
     edit.delete(dataset, ["000001"])
     edit.undo(dataset)
-    with pytest.raises(DatasetError, match=r"Episodes came to .* since 'delete'"):
+    with pytest.raises(DatasetError, match=r"Episodes were added to .* since 'delete'"):
         edit.undo(dataset)
     assert Dataset.open(dataset)["000001"].length == 1
     with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
@@ -160,7 +160,7 @@ def test_what_was_recorded_is_remembered_through_later_edits(dataset: Path, late
         record(writer, "new", Dataset.open(dataset).episodes[0])
     edit.delete(dataset, ["000001"]) if later == "delete" else edit.relabel(dataset, "push", episodes=["000001"])
     edit.undo(dataset)
-    with pytest.raises(DatasetError, match="Episodes came to"):
+    with pytest.raises(DatasetError, match="Episodes were added to"):
         edit.undo(dataset)
     assert check(dataset).is_ok
 
@@ -217,7 +217,7 @@ def test_undo_waits_for_what_a_killed_recording_left_open(dataset: Path) -> None
     with pytest.raises(DatasetError, match="run recover first"):
         edit.undo(dataset)
     recover(dataset)
-    with pytest.raises(DatasetError, match="Episodes came to"):
+    with pytest.raises(DatasetError, match="Episodes were added to"):
         edit.undo(dataset)
 
 

@@ -1,4 +1,4 @@
-"""Commands of verbs: parses a command line, imports only what it asks for, and shows errors without a traceback."""
+"""Commands of verbs: parses a command line, imports only what it needs, and shows errors without a traceback."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from rcs_data.read.reader import Dataset, EpisodeRecord
 
 # Fields that may differ between merged datasets.
 _OWN = ("setup", "instruction", "jpeg_quality", "jpeg_subsampling", "origin")
-# What the episodes of a part share, and they with what `making` is told of them.
+# The facts that the episodes of a part share, and each episode with the arguments of its copy.
 _Kept = tuple[DatasetInfo, list[tuple[EpisodeRecord, dict[str, Any]]]]
 
 

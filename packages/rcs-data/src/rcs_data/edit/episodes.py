@@ -68,7 +68,7 @@ def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> N
 
 
 def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | None = None) -> None:
-    """Change what the robot was asked to do in some episodes; None for all, and for those recorded later.
+    """Change the robot's instruction in some episodes; None for all, and for those recorded later.
 
     Raises:
         InvalidSetup: There is no such episode; nothing changes.
@@ -90,7 +90,7 @@ def require_ids(path: str | Path, known: Iterable[str], ids: Iterable[str]) -> N
     Args:
         path: The dataset, for the message.
         known: The ids of its episodes.
-        ids: Those that are asked for.
+        ids: Those that are selected.
 
     Raises:
         InvalidSetup: There is no such episode; the message lists some that exist.

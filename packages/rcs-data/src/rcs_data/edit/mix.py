@@ -188,7 +188,7 @@ def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Ha
     if how.common:
         shared = set.intersection(*({feature.key for feature in info.features} for info in infos))
         infos = [replace(info, features=tuple(f for f in info.features if f.key in shared)) for info in infos]
-    # A state can be restored only in the simulation that it came from.
+    # A state can be restored only in the simulation that made it.
     states = {(info.sim_state_size, json.dumps(info.setup, sort_keys=True)) for info in infos}
     if len(states) > 1:
         infos = [replace(info, sim_state_size=None) for info in infos]

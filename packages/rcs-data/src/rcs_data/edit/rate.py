@@ -175,7 +175,7 @@ def _turned(turns: Iterable[Quaternion]) -> Quaternion:
 
 # How to combine several relative actions, given their rate [Hz], by the last word of their key.
 _TOGETHER = {"joints": _sum, "tquat": _tquat, "xyzrpy": _xyzrpy, "xyzyaw": _sum, "twist": _twist}
-# Of these the last one counts, whatever the arm's are relative to.
+# The last one of these counts, whatever the arm's are relative to.
 _ABSOLUTE = ("gripper", "hand")
 
 

@@ -139,9 +139,9 @@ def undo(path: str | Path) -> Edit:
         path: The dataset.
 
     Raises:
-        DatasetError: There is nothing to undo, the former episodes are gone, episodes came or went since, an episode of
-            a killed recording is still open or not in the index, or another process writes to the dataset; nothing
-            changes.
+        DatasetError: There is nothing to undo, the former episodes are gone, episodes were added or removed since, an
+            episode of a killed recording is still open or not in the index, or another process writes to the dataset;
+            nothing changes.
         CorruptEpisode: The dataset is damaged.
     """
     root = Path(path)

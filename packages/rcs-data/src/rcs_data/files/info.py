@@ -48,7 +48,7 @@ class DatasetInfo(Record):
     features: tuple[Feature, ...]
     """The columns, in the order in which they are stored."""
     setup: dict[str, Any]
-    """The setup that the data came from, as JSON."""
+    """The setup that made the data, as JSON."""
     instruction: str
     """The instruction to the robot, in words; an episode may have another one."""
     schema_version: int = SCHEMA_VERSION

@@ -28,7 +28,7 @@ from rcs_data.files.info import DatasetInfo
 
 _UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError, OverflowError)
 # Most rows per row group, and most memory that one takes [B]; fixed by the columns, so that the bytes do not depend on
-# how the rows came.
+# how the rows arrive.
 _MOST_ROWS, _MOST_BYTES = 16384, 1 << 25
 # Key of the checksums in the footer: of each group, those of the columns of `DatasetInfo.stream_schema`.
 _CHECKSUMS, _DIGITS = b"crc32", 8

@@ -159,7 +159,7 @@ class StreamReader:
 
     def _compare(self, number: int, place: int) -> None:
         """Compare what comes next, the header as number 0 or a batch, with its checksum, unless it is cut short."""
-        if self._checksums is None or number >= len(self._checksums):  # a kill came before it was written
+        if self._checksums is None or number >= len(self._checksums):  # a kill prevented its writing
             return
         size, checksum = self._checksums[number]
         if place + size > self._size:

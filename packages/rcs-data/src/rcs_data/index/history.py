@@ -60,7 +60,7 @@ class Edit(msgspec.Struct, frozen=True, kw_only=True):
     before: int
     """Number of episodes before it: so many lines follow, until they are pruned."""
     index: int
-    """CRC-32 of the index after it, by which an undo sees that nothing came since."""
+    """CRC-32 of the index after it, by which an undo sees that nothing was added since."""
     dataset: dict[str, Any] | None
     """The facts that the episodes shared before, if the edit changed them."""
 
@@ -136,7 +136,7 @@ class Draft:
         """Start with nothing changed; what a killed edit has left is removed."""
         self.index = index
         root = index.root
-        # Of an edit whose file is in quarantine, the folders still have the number.
+        # The folders have the number of an edit even if its file is in quarantine.
         names = (*folder_names(root), *folder_names(root, FORMER_FOLDER))
         self.number = max((*(int(path.stem) for path in _files(root)), *map(edit_number, names)), default=0) + 1
         self.folder = root / DRAFT_FOLDER
@@ -244,8 +244,8 @@ def undo(index: Index) -> Edit:
         raise DatasetError(f"Cannot undo {edit.command!r} in {root}: its former episodes were pruned.")
     if zlib.crc32(read_bytes(root / INDEX_FILE)) != edit.index:
         raise DatasetError(
-            f"Episodes came to {root}, or went, since {edit.command!r}, which undo would lose. An edit can be "
-            "undone until episodes come or go; now delete or relabel what you do not want."
+            f"Episodes were added to {root}, or removed, since {edit.command!r}, which undo would lose. An edit "
+            "can be undone until then; now delete or relabel what you do not want."
         )
     there = {*folder_names(root), *folder_names(root, FORMER_FOLDER)}
     if gone := [name for name, entry in entries.items() if entry.folder not in there]:

@@ -125,7 +125,7 @@ class Index:
         return entry
 
     def _read(self) -> None:
-        """Read both files, those of an edit that is decided first; again if an edit came in between."""
+        """Read both files, those of an edit that is decided first; again if an edit was made meanwhile."""
         for _ in range(_MOST_LOOKS):
             with self._opened() as file:
                 self.info = read_info(self.root)

@@ -7,8 +7,8 @@
       report.html
 
 Several processes append at a time: they take turns by a lock on the file. A line that a kill has cut short counts as
-not written, and the next writer removes it. Who is about to run an episode claims it by a lock on a byte of `.claims`,
-which ends with its process, so that several processes share the episodes of one evaluation.
+not written, and the next writer removes it. A process claims an episode before it runs it, by a lock on a byte of
+`.claims` that ends with the process, so that several processes share the episodes of one evaluation.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ class Ledger(Closing):
         return self._described(hash_)[0]
 
     def place(self, hash_: str) -> str:
-        """Return where the agent of a condition came from; raises as `condition` does."""
+        """Return where the agent of a condition is from; raises as `condition` does."""
         return self._described(hash_)[1]
 
     @property

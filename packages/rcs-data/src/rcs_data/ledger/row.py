@@ -15,7 +15,7 @@ TIMES = ("latency_p50", "latency_p99", "seconds", "ended")
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True, gc=False):
-    """An episode that ended. Its key is what it depends on; its other columns are what came of it."""
+    """An episode that ended. Its key is what it depends on; its other columns are its result."""
 
     key: str
     """Hash of the condition and seed, as `key_of` joins them."""
@@ -46,9 +46,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     message: str | None
     """The agent's, or the judge's, words on it."""
     judge: str
-    """Who judged: `task`, `person`, or `nobody`."""
+    """The judge: `task`, `person`, or `nobody`."""
     stages: int | None = None
-    """Stages of the task that were reached, counted by who judged; None if nobody counted."""
+    """Stages of the task that were reached, counted by the judge; None if nobody counted."""
     tags: tuple[str, ...] = ()
     """Tags that the judge gave."""
     corrections: int = 0
@@ -58,7 +58,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     reward: float | None
     """Sum of the rewards; None if it was not finite."""
     latency_p50: float | None
-    """Median of the time that answers of the policy took [s]; None if no policy was asked."""
+    """Median of the time that answers of the policy took [s]; None if no policy answered."""
     latency_p99: float | None
     """The 99th percentile of it [s]."""
     seconds: float

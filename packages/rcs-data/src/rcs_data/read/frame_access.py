@@ -150,7 +150,7 @@ class FrameAccess:
 
     def _numbers_of(self, episode: EpisodeRecord, key: str) -> NDArray[np.int32]:
         def read() -> tuple[dict[str, NDArray[np.int32]], int]:
-            # Of all cameras at once, since one window has all of them.
+            # All cameras are read at once, since one window has all of them.
             numbers = episode.image_numbers(feature.key for feature in episode.info.features if feature.is_image)
             return numbers, sum(column.nbytes for column in numbers.values())
 

@@ -65,6 +65,6 @@ def rewrite(
     found = ("length", "content_hash", "sha256", "timing", "schema_version")
     about = episode.about
     kept = {key: value for key, value in about.items() if key not in found}
-    # What cannot be computed from the rows.
+    # These cannot be computed from the rows.
     measured = {key: value for key, value in about["timing"].items() if key in ("writer", "is_torn")}
     seal(folder, info, rows, {**kept, **changes}, timing=lambda: measured)

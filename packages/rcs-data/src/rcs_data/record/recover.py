@@ -112,7 +112,7 @@ def settle_leftovers(index: Index, leftovers: Leftovers) -> RecoverReport:
 
 
 def unlisted(index: Index) -> list[Path]:
-    """Return the folders of complete episodes that the index does not have: a kill came before their line was written.
+    """Return the folders of complete episodes that the index does not have, since a kill prevented their line.
 
     Args:
         index: The dataset's index.

@@ -94,7 +94,7 @@ def _devices(times: dict[str, NDArray[np.float64]]) -> dict[str, Any]:
             continue
         moments, first = np.unique(taken[is_measured], return_index=True)
         between = np.diff(moments)
-        # Of a device that is faster than the loop, each row has something new, though it skips some.
+        # A device that is faster than the loop has something new in each row, though rows skip some.
         has_waited = np.diff(np.flatnonzero(is_measured)[first]) > 1
         ages = (rows - taken)[is_measured & np.isfinite(rows)]
         found[name] = {

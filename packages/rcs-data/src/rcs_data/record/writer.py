@@ -175,7 +175,7 @@ class DatasetWriter(Closing):
         expected = {EPISODE_FILE, STEPS_FILE, *([FRAMES_FILE] if self.info.has_images else [])}
         if set(files) != expected:
             raise CorruptEpisode(
-                f"Episode {episode_id!r} came with the files {', '.join(sorted(files)) or '(none)'}; "
+                f"Episode {episode_id!r} has the files {', '.join(sorted(files)) or '(none)'}; "
                 f"an episode of this dataset has {', '.join(sorted(expected))}."
             )
         folder = self.path / OPEN_FOLDER / episode_id
@@ -286,7 +286,7 @@ class DatasetWriter(Closing):
 
 
 def _refuse_strangers(root: Path) -> None:
-    # What a kill can leave of a dataset being created.
+    # A kill can leave these of a dataset being created.
     files = {name + end for name in (INDEX_FILE, DATASET_FILE) for end in ("", ".tmp")}
     ours = {*LOCK_FILES, *files, EPISODES_FOLDER, OPEN_FOLDER, HISTORY_FOLDER}
     strangers = sorted(entry.name for entry in root.iterdir() if entry.name not in ours)

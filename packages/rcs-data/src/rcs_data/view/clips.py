@@ -36,7 +36,7 @@ _ANCHORS = np.array(
 )
 _PLACES = np.linspace(0, 255, len(_ANCHORS))
 _TABLE = np.stack([np.interp(np.arange(256), _PLACES, channel) for channel in _ANCHORS.T], axis=1).astype(np.uint8)
-# What was not measured is darker than any value.
+# A pixel without a value is darker than any value.
 _NOTHING = np.zeros(3, np.uint8)
 _Limits = NDArray[np.float64]
 

@@ -30,7 +30,7 @@ _JITTER = 0.2
 # Curves of more numbers are pictures.
 _MOST_LINES = 32
 _SHOWN = ("joints", "gripper", "hand", "reward")
-# What was commanded stands beside what was measured.
+# Commands stand beside measurements.
 _SOURCES = ("observation", "action", "executed")
 _PERIOD = "period"
 MOST_STEPS = 1 << 18

@@ -33,7 +33,7 @@ from rcs_data.files.text import mended_text
 from rcs_data.read.reader import Dataset
 from rcs_data.record.writer import DatasetWriter
 
-# Of each step, or of no step; groups are looked into.
+# Names that are imported by rules of their own; groups are looked into.
 _KNOWN = ("obs", "next_obs", "rewards", "dones", "states", ACTION_DICT.strip("/"))
 
 

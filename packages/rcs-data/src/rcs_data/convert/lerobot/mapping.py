@@ -40,7 +40,7 @@ from rcs_data.files.flags import camera_of
 from rcs_data.read.trajectory import VectorLayout
 
 _SINGLES = {REWARD: "reward", "reward": "reward", TERMINATED: "terminated", TRUNCATED: "truncated"}
-# Of openpi's examples and converters in use (LIBERO, DROID, ALOHA).
+# Names in openpi's examples and converters in use (LIBERO, DROID, ALOHA).
 _STATES = re.compile(r"state|proprio|qpos|(joint|gripper|cartesian)_(position|velocity)")
 _MASK = re.compile(r"(.*[._])?(mask|is_pad)")
 _PREFIXES = ("observation.images.", "observations.images.", "observation.image.", "observation.")

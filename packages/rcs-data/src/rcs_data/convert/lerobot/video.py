@@ -38,7 +38,7 @@ _ENCODERS: dict[VideoCodec, tuple[str, dict[str, str]]] = {
     "h264": ("libx264", {"preset": "superfast", "crf": "18", "g": "2", "bf": "0"}),
     "av1": ("libsvtav1", {"preset": "12", "crf": "35", "g": "1", "svtav1-params": "lp=1"}),
 }
-# What libx264 and SVT-AV1 take: least length, most lines and most columns [px].
+# Limits of libx264 and SVT-AV1: least length, most lines and most columns [px].
 _LIMITS: dict[VideoCodec, tuple[int, int, int]] = {"h264": (1, 16384, 16384), "av1": (64, 8704, 16384)}
 # ITU-R BT.601 in limited range, FFmpeg's default for RGB and so what readers expect.
 _BT601, _LIMITED = 5, 1

@@ -91,7 +91,7 @@ class LeRobotWriter(ABC):
             "video_path": self.video_path if self.layout.cameras else None,
         }
         write_json(meta / "info.json", info)
-        # Of v2.0; some readers of v2.1 still need it.
+        # A file of v2.0 that some readers of v2.1 still need.
         write_json(meta / "stats.json", self._total.to_json())
         if self._subtasks:
             pq.write_table(_text_table(self._subtasks, "subtask_index"), meta / "subtasks.parquet")

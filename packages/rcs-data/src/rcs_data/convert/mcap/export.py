@@ -99,7 +99,7 @@ def _write(writer: Any, episode: EpisodeRecord, info: DatasetInfo) -> int:
     images = 0
     for row, messages in enumerate(streams):
         for feature, channel, message in zip(features, channels, messages, strict=True):
-            # What was done in a step was commanded when the step began.
+            # The action of a step was commanded when the step began.
             is_command = feature.key.startswith(("action/", "executed/"))
             if message is None or (row == 0 and feature.is_unknown_at_reset):
                 continue

@@ -38,7 +38,7 @@ function follow() {
   show({ id, other: known(fields.get("compare")), frame: Number(fields.get("t")) || 0, isPlayed: fields.has("play") });
 }
 
-// What a report, which is one file, has inside of it instead of beside it.
+// The contents that a report, which is one file, has inside instead of beside it.
 function inlined(field, value) {
   return [...document.querySelectorAll(`script[data-${field}]`)].find((script) => script.dataset[field] === value)?.textContent;
 }
