@@ -84,7 +84,7 @@ def test_a_page_in_a_browser_gets_no_websocket(origin: str, caplog: pytest.LogCa
         assert told(server, request.encode()).startswith(b"HTTP/1.1 403 ")
         client(server).infer(observation())
     assert policy.asked == 1
-    assert "A page in a browser asked" in caplog.text
+    assert "Pages in browsers are refused" in caplog.text
 
 
 @pytest.mark.parametrize("origin", ORIGINS)

@@ -50,7 +50,7 @@ class Recorded(Around):
         self._write({"reset": {"session": session, "instruction": instruction, "seed": seed}})
 
     def infer(self, observation: Observation) -> Chunk:
-        """Ask, and keep what was asked and answered."""
+        """Ask the policy inside, and keep question and answer."""
         chunk = super().infer(observation)
         values = observation_to_values(observation)
         if not self._with_images:

@@ -48,13 +48,13 @@ def accept(link: Link, deadline: Deadline, admit: Callable[[Any], tuple[int, str
     if not requests:
         raise BadMessage(f"This is no request for a websocket: {protocol.handshake_exc}.")
     is_page = "Origin" in requests[0].headers
-    other = (403, "Pages in browsers may not ask.\n") if is_page else admit(requests[0])
+    other = (403, "Pages in browsers are refused.\n") if is_page else admit(requests[0])
     response: Any = protocol.accept(requests[0]) if other is None else protocol.reject(*other)
     protocol.send_response(response)
     link.send([memoryview(data) for data in protocol.data_to_send()], deadline)
     if response.status_code == 403:
         origins = requests[0].headers.get_all("Origin")
-        raise BadMessage(f"A page in a browser asked, and pages may not: its Origin is {origins!r:.200}.")
+        raise BadMessage(f"Pages in browsers are refused; this one has the Origin {origins!r:.200}.")
     return response.status_code == 101
 
 
