@@ -63,7 +63,7 @@ def test_what_is_on_by_default_has_both_words(capsys: pytest.CaptureFixture[str]
 def test_of_a_simulation_it_says_that_nobody_acts_unless_asked(capsys: pytest.CaptureFixture[str]) -> None:
     told = help_of(capsys, "sim")
     assert "By default the task's expert" not in told
-    assert "--agent AGENT Who acts in your place" in told
+    assert "--agent AGENT Agent that acts in your place" in told
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Who acts: the name of an agent, its weights, and the code that it is made of."""
+"""The identity of an agent: its name, its weights, and the modules of its code."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _SOURCES = ("*.py", "*.xml", "*.so")
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
-    """Who acts in an evaluation."""
+    """The identity of an agent in an evaluation."""
 
     name: str
     """A name for people, such as `pick@40000`."""
     weights: str | None = None
-    """SHA-256 of the weights; None if there are none, or nobody says which."""
+    """SHA-256 of the weights; None if there are none, or they are unknown."""
     trained: int | None = None
     """Steps that the training had made; None if that is not known."""
     data: str | None = None

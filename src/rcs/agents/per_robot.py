@@ -114,7 +114,7 @@ class PerRobot(Agent):
 
     @property
     def note_fields(self) -> Sequence[Note]:
-        """Who acted and the notes of all agents, each after the name of its robot."""
+        """The actor and the notes of all agents, each after the name of its robot."""
         every = [(name, note) for name, agent in self.agents.items() for note in _with_actor(agent.note_fields)]
         return [replace(note, name=f"{name}/{note.name}") for name, note in every]
 

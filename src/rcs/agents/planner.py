@@ -85,7 +85,7 @@ class PickPlanner(PickExpert):
             raise InvalidSetup(f"PickPlanner moves one robot, there are {len(env.robots)}: {', '.join(env.robots)}.")
         super().__init__(env)
         self._planner = planner_for(env, margin=MARGINS[0], planner=planner, time_limit=TIME_LIMIT, speed=SPEED)
-        # What is lifted off the table touches it at first.
+        # The cuboid touches the table when it is lifted.
         self._carrying = planner_for(env)
         self._carrying.checker.allow(CUBOID, TABLE)
         # Without a pull to other joints: the straight lines are checked for those that lead the TCP there directly.

@@ -98,7 +98,7 @@ def is_in_view(boards_in_camera: NDArray[np.float64], board: Board, intrinsics: 
     depths = boards_in_camera[:, 2, :3] @ corners.T + boards_in_camera[:, 2, 3:]
     is_before = depths.min(axis=-1) > 0.02
     rays = project(boards_in_camera, corners)
-    # What a lens does far out of the picture is of no meaning, and may fold back into it.
+    # Far out of the picture, the lens model has no meaning, and may fold back into it.
     is_near = (np.abs(rays) < 4.0).all(axis=(-2, -1))
     pixels = distort(np.clip(rays, -4.0, 4.0), intrinsics.distortion) * (intrinsics.fx, intrinsics.fy)
     pixels = pixels + (intrinsics.cx, intrinsics.cy)

@@ -24,7 +24,7 @@ from rcs.hardware.site import KINDS, DeviceAddress, Site
 PACKAGE = "robot-control-stack"
 OPTIONAL = ("digit", "webcam")
 """Drivers that need no package for cameras at a URL."""
-# What a package needs for an extra and nothing else, such as 'rcs-data[mcap]>=0.1; extra == "mcap"'.
+# A requirement of a package for an extra alone, such as 'rcs-data[mcap]>=0.1; extra == "mcap"'.
 _NEED = re.compile(r"(?P<package>[\w.-]+)(?:\[(?P<extras>[^]]*)\])?[^;]*; *extra *== *['\"](?P<extra>[\w.-]+)['\"]")
 
 

@@ -54,7 +54,7 @@ class StopCommand:
     """Have the devices of all hosts of this user hold, from any terminal. Exit code 1 if a host did not answer."""
 
     def run(self) -> int:
-        """Stop, and print what came of it."""
+        """Stop, and print the outcomes."""
         outcomes = stop_hosts()
         for name, outcome in outcomes.items():
             print(f"{name}: {outcome}")

@@ -46,7 +46,7 @@ class PoolOptions:
         """Return how many workers to start: no more than there are episodes; 0 for one per CPU of a cluster.
 
         Raises:
-            InvalidSetup: The number asked for makes no sense.
+            InvalidSetup: The number of workers is negative.
         """
         if self.workers < 0:
             raise InvalidSetup(f"workers is {self.workers}; valid is 0 (one per core) and more.")
@@ -115,7 +115,7 @@ def print_results(
         summary: Its results; nothing is printed without any.
         videos: How many episodes to film.
         seconds: How long it took [s].
-        workers: Who made them, in words or a number of processes.
+        workers: The processes that ran it, in words or as a number.
         console: Where to print.
         record: The dataset in which the episodes were recorded, for films of real ones.
     """

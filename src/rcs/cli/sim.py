@@ -27,8 +27,8 @@ class SimCommand(SetupOptions):
     """
 
     agent: str | None = None
-    """Who acts in your place: the name of an agent, `module:Class`, which is called with the environment, the path of a
-    checkpoint, or the address of a policy. Nobody does by default, and the page can have the task's expert act."""
+    """Agent that acts in your place: its name, `module:Class`, which is called with the environment, the path of a
+    checkpoint, or the address of a policy. By default there is none, and the page can have the task's expert act."""
     host: str = "127.0.0.1"
     """Address at which the page is served; 0.0.0.0 lets other machines in, over TLS and with a code."""
     port: int = 8080

@@ -44,7 +44,7 @@ class SweepCommand(SetupOptions):
     """Evaluate all checkpoints of a training, and the best of them again on other seeds.
 
     The best of many is chosen by luck, too: only its success on seeds that did not choose it is without a bias. Every
-    episode is in the ledger, so that the same command goes on after a kill, and takes in checkpoints that came since.
+    episode is in the ledger, so that the same command goes on after a kill, and takes in new checkpoints.
     Several sweeps of one run share the episodes, and each waits for those of the others before it goes on; with
     `--serve`, each has a GPU of its own, where there are several.
     """

@@ -43,8 +43,8 @@ class TeleopCommand(SetupOptions):
     task: tyro.conf.Positional[str] = "Free"  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
     """Name of the task, such as PickCuboid, or `module:Class`."""
     agent: str | None = None
-    """Who acts until you take over: the name of an agent, `module:Class`, the path of a checkpoint, or the address of a
-    policy; by default nobody, and you lead from the beginning."""
+    """Agent that acts until you take over: its name, `module:Class`, the path of a checkpoint, or the address of a
+    policy; by default none, and you lead from the beginning."""
     input: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME[:ADDRESS]")] = ("keyboard",)
     """Device that leads, such as `keyboard` or `spacemouse:/dev/hidraw0`; the buttons of further ones count, too."""
     lead: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[HAND=ROBOT ...]")] = ()

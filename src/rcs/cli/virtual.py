@@ -18,10 +18,10 @@ class VirtualCommand:
     """Run a virtual robot behind its vendor's protocol until SIGTERM or Ctrl-C, or cause a fault in one that runs.
 
     `rcs virtual so101` prints one line of JSON when it is ready: its name, and the site at which drivers find it.
-    `rcs virtual tell NAME FAULT` has something go wrong with one that runs, such as `freeze 2`, `cut`, `late 60/100`
+    `rcs virtual tell NAME FAULT` causes a fault in one that runs, such as `freeze 2`, `cut`, `late 60/100`
     (one packet in 100 comes 60 ms late), `lose 3` or `corrupt 3`; `reset SEED` places the objects anew, and `clear`
-    mends everything. A camera or tactile sensor is told by its name, such as `fr3/wrist`: `freeze S`, `delay MS`,
-    `drop P`, `black`, `tear`, `unplug S`, `swap OTHER` or `clear`. `judge` answers whether the task was done since
+    mends everything. A camera or tactile sensor has a name such as `fr3/wrist`, and the faults `freeze S`, `delay MS`,
+    `drop P`, `black`, `tear`, `unplug S`, `swap OTHER` and `clear`. `judge` answers whether the task was done since
     the objects were placed, `look` with their poses, and `about` with name, site and setup.
     """
 
@@ -42,7 +42,7 @@ class VirtualCommand:
     """Serve tactile sensors in the place of the gripper's pads, too."""
 
     def run(self) -> int:
-        """Do one of the two."""
+        """Run the robot, or cause the fault."""
         verb, *rest = self.words or ("",)
         if verb == "tell":
             from rcs.virtual.control import tell

@@ -21,7 +21,7 @@ SAME: Final = 1e-3
 SILENCE: Final = 0.3
 """Age of the last state from which the hand counts as silent [s]."""
 STOPPING: Final = 0.1
-"""Time after which fingers that still move are told to stop again [s]."""
+"""Time after which fingers that still move are stopped again [s]."""
 CLOSING: Final = 1.5
 """Timeout for the end of a connection that is silent [s]; the library gives up after a second."""
 
@@ -46,7 +46,7 @@ class FrankaHand(Gripper):
         self._given: tuple[float, float] | None = None  # the command in progress, or the last one
         self._is_busy = self._is_homing = False
         self._is_held = False  # since the motion in progress was commanded
-        self._over_since = 0.0  # when the motion in progress was last told to stop
+        self._over_since = 0.0  # time of the last stop of the motion in progress
         self._ends = threading.Event()  # of one connection
         self._problem = ""
         self._threads: list[threading.Thread] = []
@@ -183,7 +183,7 @@ class FrankaHand(Gripper):
             self._state_now, self._measured_at = state, time.monotonic()
             with self._news:
                 is_late = self._is_busy and self._is_over and time.monotonic() > self._over_since + STOPPING
-                if is_late:  # the stop came before the library's call, and had no effect
+                if is_late:  # the stop preceded the library's call, and had no effect
                     self._over_since = time.monotonic()
             if is_late:
                 hand.stop_async()  # which reports nothing, and lets the states be read

@@ -128,7 +128,7 @@ class RobotiqGripper(Gripper):
         self._order: _Order | None = None
         self._sent: _Order | None = None
         self._was_active = False
-        self._activating_since = math.nan  # when a command first asked for an activation
+        self._activating_since = math.nan  # when a command first needed an activation
         self._activation_began = -math.inf
         self._moved = 0.0
         self._status: RobotiqStatus | None = None

@@ -23,9 +23,9 @@ BAUD = 1_000_000
 TIMEOUT = 0.09
 """Time without an answer after which servos count as lost [s]; adapters buffer input for up to 16 ms."""
 PATIENCE = 1 / 3
-"""Fraction of the timeout after which the last servo of a request is asked again."""
+"""Fraction of the timeout after which the last servo of a request is queried again."""
 MUTE = 0.05
-"""Time for which a bus on which no servo answered is not asked again, so that devices that share it do not wait one
+"""Time for which a bus on which no servo answered is not queried again, so that devices that share it do not wait one
 after the other until the fault is known [s]."""
 LENGTHS = 8
 """Number of different lengths of repeated reads, which identify late answers."""
@@ -225,7 +225,7 @@ class _Request:
         is_mute = len(self.missing) == len(names)
         who = "none of the servos answers" if is_mute else f"no answer from {some}"
         text = (
-            f"{who} on the servo bus at {self._bus.address}, asked {times} in "
+            f"{who} on the servo bus at {self._bus.address}, queried {times} in "
             f"{1e3 * (time.monotonic() - self._begin):.0f} ms; check the power supply and the cable to the first "
             "missing servo"
         )

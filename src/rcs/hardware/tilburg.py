@@ -116,7 +116,7 @@ class TilburgHand(Hand):
         self._lowest = self._highest = np.zeros(self.joint_count)
         self._goal: NDArray[np.float64] | None = None
         self._checked = 0.0
-        self._since = -math.inf  # when the last command came
+        self._since = -math.inf  # time of the last command
         self._port: int | None = None  # locks it against other programs
         self._is_late = False  # an answer is missing, and may still come
         self._ready = np.zeros(self.joint_count, np.bool_)  # motors that are on, with bounded currents

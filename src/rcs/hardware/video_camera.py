@@ -16,8 +16,8 @@ from rcs.hardware.usb import Plug
 from rcs.hardware.v4l2_pictures import V4l2Pictures
 
 STEADY, LONGEST_SETTLING = 10, 3.0
-"""Number of pictures after the last that came sooner than those before it, from which times are right; and how long to
-wait for that at most [s]."""
+"""Times are right from this number of pictures on after the last one that was sooner than those before it; and how long
+to wait for that at most [s]."""
 LONGEST_WARM_UP = 5.0
 """Longest time for which pictures are dropped after opening [s]."""
 

@@ -164,7 +164,7 @@ def kinematics_of(
     kind = "hand" if gripper in lookup.names("hand") else "gripper"
     of_gripper: EndEffector | None = lookup.find(kind, gripper)
     model, site = _model_of(of_arm, of_gripper)
-    # What devices and action spaces check; the file may allow more.
+    # The limits that devices and action spaces check; the file may allow more.
     for name, *limits in zip(of_arm.joints, of_arm.joint_lower, of_arm.joint_upper, strict=True):
         model.joint(name).range[:] = limits
         model.jnt_limited[model.joint(name).id] = True

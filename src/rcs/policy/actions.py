@@ -106,7 +106,7 @@ class PolicyActions:
             if part.is_difference or part.kind in ("opening", "velocity"):
                 continue
             key = part.name.removesuffix(XYZRPY) + TQUAT if part.kind == "rpy" else part.name
-            # What counts from the start counts from what the policy has seen.
+            # A part that counts from the start counts from the measured values.
             source = measured if part.counts_from_start or self.is_held else {**measured, **target}
             found[part.name] = np.array(source[key], np.float64)
         return found

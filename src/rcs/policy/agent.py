@@ -178,7 +178,7 @@ class ChunkAgent(Agent):
 
     @property
     def latencies(self) -> Sequence[float]:
-        """How long each answer took by the clock [s]; where several came in one step, the last one of them."""
+        """How long each answer took by the clock [s]; of several in one step, only the last one is kept."""
         return self._latencies
 
     @property

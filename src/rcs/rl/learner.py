@@ -140,7 +140,7 @@ class Sb3Learner(Learner):
         """The learner of Stable-Baselines3."""
         self.policy = model.policy
         if algorithm.schedule == "linear":
-            # Of the whole training: the library's own counts to the end of a call of `learn`.
+            # It spans the whole training; the library's own ends with a call of `learn`.
             model.lr_schedule = lambda _: algorithm.learning_rate * max(1.0 - self.steps / training.steps, 0.0)
         model.set_logger(package_of("rl", "stable_baselines3.common.logger").Logger(folder=None, output_formats=[]))
         vectors.seed(training.first_seed)

@@ -165,7 +165,7 @@ def _tables(training: Training, checkpoints: Sequence[Checkpoint]) -> Html:
         element("div", element("h2", name), table((key, _words(value)) for key, value in values.items()))
         for name, values in tables.items()
     ]
-    return element("section", element("h2", "What was trained"), element("div", *parts, class_="tables"))
+    return element("section", element("h2", "Training"), element("div", *parts, class_="tables"))
 
 
 def _words(value: Any) -> str:

@@ -127,7 +127,7 @@ USB_WEBCAM: Final = CameraDescription(
     camera="color",
     # Assumption: a holder of 32 x 32 x 12 mm with the hole in the middle of its underside.
     mount_hole_in_optical=Mount(translation=(0.0, 0.016, -0.018), quaternion=(0.5, -0.5, 0.5, 0.5)),
-    # What nearly all of them offer as MJPG: the intervals of a common UVC descriptor, 1/30 to 1/5 s.
+    # Nearly all of them offer these as MJPG: the intervals of a common UVC descriptor, 1/30 to 1/5 s.
     modes=tuple(
         ResolutionMode(width, height, (5, 10, 15, 20, 25, 30))
         for width, height in ((1280, 720), (640, 480), (640, 360), (320, 240))

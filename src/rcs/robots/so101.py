@@ -82,8 +82,8 @@ SO101_GRIPPER: Final = GripperDescription(
     # LeRobot limits this servo to half of its torque, 1.47 Nm: 18 N at the fingertips.
     max_force=18.0,
     grasp_force=18.0,
-    # Of the moving jaw's tip: torque less friction over damping is 2.4 rad/s, 0.85 s from open to closed. At its full
-    # torque and without load the servo has 45 rpm, 4.7 rad/s.
+    # The speed of the moving jaw's tip: torque less friction over damping is 2.4 rad/s, 0.85 s from open to closed. At
+    # its full torque and without load the servo has 45 rpm, 4.7 rad/s.
     closing_speed=0.18,
     sources=(
         "mujoco_menagerie robotstudio_so101 (Apache-2.0): kinematics, limits, inertias, joint dynamics, servo gains",

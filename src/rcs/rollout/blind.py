@@ -53,10 +53,10 @@ def evaluate_blind(
 ) -> Iterator[Attempt]:
     """Run two agents on the same seeds in an order that is balanced and drawn, and yield each attempt.
 
-    Nobody is told which of the two acts, not even by a letter: who judges would soon know the better letter.
-    The ledger has the letters, and who they are in a form that nobody reads by accident, until `Ledger.unblind`.
-    Weights, addresses and messages of policies are left out. Which letter is whose is drawn anew for each comparison;
-    the same evaluations go on where they were stopped.
+    Nothing shows which of the two acts, not even a letter: a judge would soon know the better letter. The ledger has
+    the letters, and the agents behind them in a form that nobody reads by accident, until `Ledger.unblind`. Weights,
+    addresses and messages of policies are left out. The letters are drawn anew for each comparison; the same
+    evaluations go on where they were stopped.
 
     Args:
         evaluations: The evaluations, which differ in the agent alone, and have a folder.

@@ -52,7 +52,7 @@ def look_around(
     confirm: Confirm | None = None,
     on_look: OnLook | None = None,
 ) -> None:
-    """Show a strategy pictures from the joints that it asks for, until it needs no more; then it can solve.
+    """Show a strategy pictures from the joints that it proposes, until it needs no more; then it can solve.
 
     Args:
         env: An environment with absolute joint targets that observes the camera; it is reset.

@@ -1,4 +1,4 @@
-"""The recipe of a collection, what came of an attempt, and how far a collection is."""
+"""The recipe of a collection, the result of an attempt, and how far a collection is."""
 
 from __future__ import annotations
 

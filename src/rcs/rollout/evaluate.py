@@ -31,7 +31,7 @@ from rcs.rollout.video import Film, new_film
 from rcs.setups.resolve import with_camera_names
 
 Write = Callable[[Attempt], None]
-"""Writes what came of an episode into a ledger."""
+"""Writes the result of an episode into a ledger."""
 
 
 class Evaluator:
@@ -103,9 +103,9 @@ class Evaluator:
         )
 
     def keep(self, attempt: Attempt, write: Write | None) -> None:
-        """Write what came of the last episode, then keep its recording; a lost policy in simulation leaves none.
+        """Write the result of the last episode, then keep its recording; a lost policy in simulation leaves none.
 
-        In this order, because a recording takes a while to be finished, in which a kill would lose a person's answer.
+        The order matters: a recording takes a while to be finished, in which a kill would lose a person's answer.
 
         Args:
             attempt: The episode.
@@ -132,7 +132,7 @@ class Evaluator:
 
 
 Attempts = Generator[Attempt]
-"""Attempts, each made when it is asked for."""
+"""Attempts, each made when it is requested."""
 Maker = Callable[[Evaluation, Iterator[int]], Attempts]
 """Runs the episodes with the numbers, which are taken when there is room, and yields each attempt as it ends."""
 
@@ -207,7 +207,7 @@ def evaluate(
 def film(evaluation: Evaluation, most: int) -> Iterator[tuple[Row, EpisodeResult]]:
     """Run episodes of an evaluation that has ended again from their seeds, and film them; failures come first.
 
-    Yields the row of each, and what came of it now. If that differs (`logbook.differs`), because the policy or the
+    Yields the row of each, and its result now. If that differs (`logbook.differs`), because the policy or the
     environment draws numbers of its own or waits for the clock, the film shows another episode, and is removed.
 
     Args:

@@ -128,7 +128,7 @@ class Summary:
     pairs: Pairs | None = None
     """Verdicts of this agent, A, and of the other, B, by which that is decided; None before the end."""
     identity: Identity | None = None
-    """Who acts, once an evaluation with a ledger has begun."""
+    """The agent, once an evaluation with a ledger has begun."""
     condition: str = ""
     """The hash of its condition in the ledger."""
 

@@ -1,4 +1,4 @@
-"""What servers share on this machine: each gets a port, and if there are several GPUs one, that no other has."""
+"""Ports and GPUs of servers on this machine: each server has a port, and one of several GPUs, to itself."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def first_free(kind: str, names: Iterable[str]) -> Generator[str | None]:
 
     Args:
         kind: Kind of things that have the names, such as `gpus`.
-        names: Their names; no more of them are asked for than are needed.
+        names: Their names; no more of them are taken than are needed.
     """
     folder = Path(tempfile.gettempdir(), f"rcs-{kind}-{os.getuid()}")
     found: str | None = None

@@ -1,4 +1,4 @@
-"""The ledger of one evaluation: which of its episodes are there, which are to be run, and what came of them."""
+"""The ledger of one evaluation: which of its episodes are there, which are to be run, and their results."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class Logbook(Closing):
             evaluation: The evaluation, which has a folder.
             identity: Who acts.
             condition: The condition that its episodes share.
-            judge: Who judges, `task` or `person`.
+            judge: The judge, `task` or `person`.
             is_blind: Whether nothing that is written may say who acts.
 
         Raises:
@@ -182,7 +182,7 @@ class Logbook(Closing):
                 summary.attempts.append(_attempt(number, row))
 
     def missing(self, summary: Summary) -> Iterator[int]:
-        """Yield the numbers to be run, each when it is asked for; those running elsewhere are left to others."""
+        """Yield the numbers to be run, each when it is requested; those running elsewhere are left to others."""
         for number in self._evaluation.numbers:
             if summary.is_interrupted or self.is_decided(summary):
                 return
@@ -195,7 +195,7 @@ class Logbook(Closing):
         return self.row_of(number) is None and self.ledger.claim(key, repeat)
 
     def add(self, attempt: Attempt, corrections: int = 0) -> None:
-        """Write what came of an episode.
+        """Write the result of an episode.
 
         Args:
             attempt: The episode.
@@ -266,7 +266,7 @@ class Logbook(Closing):
         return corrected
 
     def _words(self, attempt: Attempt) -> str:
-        return "whose name is not told" if self._is_blind else str(attempt.result.message)
+        return "its message is hidden" if self._is_blind else str(attempt.result.message)
 
     def is_decided(self, summary: Summary) -> bool:
         """Return whether the episodes so far decide between this agent and the other one.

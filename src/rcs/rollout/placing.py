@@ -168,7 +168,7 @@ class Placer:
         env, agent = self._env, self._agent
         try:
             observation, info = env.reset(seed=last_seed, options=options)
-        except DeviceFault:  # since the last step; who goes home asks what to do
+        except DeviceFault:  # since the last step; the way home asks a person what to do
             return SetDown(pose=None, why=FAULT)
         if in_tcp is None:
             held = Pose.from_tquat(env.simulation.object_poses()[self.name])

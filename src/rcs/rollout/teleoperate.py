@@ -21,7 +21,7 @@ VERDICTS: Mapping[Event, bool] = {"success": True, "failure": False}
 """Events that end a take with a verdict."""
 OVER = "The episode is over. Reset to go on."
 AGAIN = 2.0
-"""Time without a refusal after which the same one is told again [s]."""
+"""Time without a refusal after which the same one is shown again [s]."""
 
 
 class Teleoperation:
@@ -113,7 +113,7 @@ class Teleoperation:
             self.env.hold()
 
     def advance(self) -> None:
-        """Make a step, or wait for a period if the episode is over; then do what the person has asked for."""
+        """Make a step, or wait for a period if the episode is over; then carry out the person's requests."""
         action = self._pace.act(self.observation, self.info)
         if self.is_over:
             time.sleep(1.0 / self.env.frequency)
@@ -127,7 +127,7 @@ class Teleoperation:
             self.obey(event)
 
     def obey(self, event: Event) -> None:
-        """Do what a person asks for."""
+        """Carry out a person's request."""
         if event == "stop":
             self.is_ending = True
         elif event == "reset":
@@ -217,7 +217,7 @@ def go_on_from_hold(pace: Pace | None, observation: Observation, info: Mapping[s
     """Have people go on after `Env.hold`, and no policy beside them; return the info to go on with.
 
     Args:
-        pace: Who acts; an agent without people begins anew; None for nobody.
+        pace: The present agent; one without people begins anew; None for none.
         observation: The present observation.
         info: Info of the last step.
     """

@@ -56,8 +56,8 @@ class PickOptions(LiftOptions):
     """How many posts stand around the cuboid, 0 to 8: firm, higher than the flange when it grasps, and clear of the
     robot at home. The scripted expert does not see them; the agent `planner` goes around them."""
     placed_by: Literal["reset", "robot"] = "reset"
-    """Who puts the cuboid where an episode of a collection begins: the reset, which beside a real robot is a person; or
-    the robot, which sets it down there after each success. Needs a cuboid of the usual size and pose, and no others."""
+    """Placement of the cuboid for an episode of a collection: by the reset, which beside a real robot is a person, or
+    by the robot, which sets it down after each success. Needs a cuboid of the usual size and pose, and no others."""
 
     def __post_init__(self) -> None:
         """Check the options.

@@ -35,7 +35,7 @@ OF_HANDS: frozenset[Button] = frozenset({"clutch", "gripper", "front"})
 """Meanings that concern a hand; the others are requests."""
 
 Motion = tuple[Literal["pose", "twist", "joints"], int]
-"""What a device measures of the motion of a hand, and how many numbers that has."""
+"""Kind of motion of a hand that a device measures, and how many numbers it has."""
 
 POLL = 0.1
 """Longest time that `read` waits [s]."""
@@ -134,7 +134,7 @@ class InputDevice(Closing, ABC):
     def requests(self) -> Sequence[Button]:
         """Return the requests made since the last call at a device beside this one, oldest first.
 
-        They count whatever becomes of this device. The loop's thread asks, and the answer comes at once.
+        They count whatever becomes of this device. The loop's thread calls it, so it returns at once.
         """
         return ()
 

@@ -185,7 +185,7 @@ class Feed(Closing):
                     self._broken[name] = why
                     # The clutch has to be pressed after that.
                     self._pressed[name] = [button for button in self._pressed.get(name, ()) if button != "clutch"]
-                # Of the first reading, nobody knows since when its buttons are held, nor of one that was lost before.
+                # In a first reading, also after a loss, the buttons may have been held for any time: they do not count.
                 if known is not None and known.is_there and hand.is_there:
                     counting = BUTTONS if is_fresh and known.is_tracked and hand.is_tracked else REQUESTS
                     risen: list[Button] = [button for button in counting if button in hand.buttons - known.buttons]

@@ -230,7 +230,7 @@ class Operator(Agent):
         return {**notes, **{f"{name}_state": state for name, state in self.states.items()}}
 
     def events(self) -> Sequence[Event]:
-        """Return what the person has asked for since the last call, oldest first."""
+        """Return the person's requests since the last call, oldest first."""
         events = self._events
         self._events = []
         return events

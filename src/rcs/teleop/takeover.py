@@ -31,13 +31,13 @@ class Takeover(Agent):
             env: The environment.
             policy: Any agent.
             operator: The person.
-            begins: Who acts at the beginning of an episode.
+            begins: The actor at the beginning of an episode.
 
         Raises:
             InvalidSetup: The policy's rate does not divide the environment's, or its repeated actions would add up.
         """
         self.actor: Actor = begins
-        """Who acts."""
+        """The present actor."""
         self.operator = operator
         """The person."""
         self._pace = Pace(env, policy)
@@ -46,13 +46,13 @@ class Takeover(Agent):
         self._refusal: str | None = None
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Begin an episode with whoever begins."""
+        """Begin an episode with the actor that begins."""
         self.actor = self._begins
         self.operator.reset(observation, info)
         self._begin_policy(observation, info)
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
-        """Return the action of whoever acts, after the person's requests."""
+        """Return the present actor's action, after the person's requests."""
         is_person = self.actor == "person"
         action = self.operator.act(observation, info) if is_person else self.operator.wait(observation, info)
         events = self.operator.events()
@@ -89,7 +89,7 @@ class Takeover(Agent):
 
     @property
     def note_fields(self) -> Sequence[Note]:
-        """Who acted, and the notes of both."""
+        """The actor, and the notes of both."""
         return [*self._pace.agent.note_fields, *self.operator.note_fields]
 
     def notes(self) -> Mapping[str, Any]:
@@ -145,7 +145,7 @@ def end_policies(agent: Agent | None, observation: Observation, info: Mapping[st
     """Have no policy act beside people: they get the robots that they may take over, and the others rest.
 
     Args:
-        agent: Who acts.
+        agent: The present agent; None for none.
         observation: The present observation.
         info: Info of the last step.
     """

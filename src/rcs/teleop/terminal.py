@@ -25,9 +25,8 @@ ASKING = 0.03
 class Terminal:
     """Keys held and pressed in the controlling terminal.
 
-    With kitty's protocol a held key is silent. Therefore the terminal is asked again and again, and `time` is that of
-    the last question that it has answered, or of the last key: when the connection to it is lost, what was held becomes
-    stale.
+    With kitty's protocol a held key is silent. Therefore the terminal is polled, and `time` is that of the last
+    question that it has answered, or of the last key: when the connection to it is lost, held keys become stale.
     """
 
     def __init__(self, buttons: Collection[str]) -> None:

@@ -143,7 +143,7 @@ class TilburgWire(Wire):
 
     def _measure(self) -> None:
         body = self._robot.body
-        # Of the simulation, not of two positions: a step of the encoder in a tick would be 32 units, and none is rest.
+        # The simulated speeds: two positions that differ by a step of the encoder would give 32 units, equal ones 0.
         speeds = np.rint(self._signs * body.world.qvel[body.layout.finger_qvel] * 30.0 / pi / 0.229).astype(int)
         for own, at, speed in zip(self._motors.values(), self._ticks().tolist(), speeds.tolist(), strict=True):
             own[POSITION : POSITION + 4] = int(at).to_bytes(4, "little", signed=True)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Gate(ABC):
-    """Admits, cuts or refuses what all layers of all robots came to.
+    """Admits, cuts or refuses the targets that all layers of all robots make.
 
     The actions that a gate returns are checked: every robot and key, shape, finite numbers, bounds. Wrong ones count as
     a refusal. When a gate refuses, all devices hold, `info["refused"]` says why, and the episode goes on, unless the

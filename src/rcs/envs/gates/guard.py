@@ -314,7 +314,7 @@ class Guard(Gate):
         for name, robot in zip(self._names, self._robots, strict=True):
             start, goal = self._commanded[name], np.asarray(targets[name][JOINTS])
             rest = [np.zeros(robot.arm.dof) if part.rest is None else part.rest[robot.name] for part in parts]
-            # What is admitted as a whole keeps its bits.
+            # A motion that is admitted as a whole keeps its bits.
             mine = np.where(fraction == 1.0, goal, start + fraction * (goal - start))
             cut[name][JOINTS] = np.where(is_held, of(rest), mine)
             for key in (GRIPPER, HAND):

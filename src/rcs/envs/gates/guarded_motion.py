@@ -1,7 +1,7 @@
 """The motion of all arms that a guard checks: their way in a step, and while they brake after it.
 
-Simulated arms are asked: their motions say what the next step will be, to the bit. A real arm is followed by the same
-law of motion, from where it was measured last at rest and by the targets that it was sent.
+The motions of simulated arms predict the next step to the bit. A real arm is followed by the same law of motion, from
+where it was measured last at rest and by the targets that it was sent.
 """
 
 from __future__ import annotations

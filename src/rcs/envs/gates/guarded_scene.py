@@ -112,7 +112,7 @@ class GuardedScene:
         self._allowed = [pair for hand in hands for pair in itertools.combinations_with_replacement(hand, 2)]
         self._allowed += [(body, part) for body in touch for hand in hands for part in hand]
         self._allowed += [(body, part) for body in ignore for arm in arms for part in arm]
-        # What is held comes down on the table and on other objects.
+        # A held object comes down on the table and on other objects.
         self._allowed += [(body, other) for body in touch for other in (*near, *touch) if other != body]
         self._allowed += list(allow)
         if workspace is not None:

@@ -78,7 +78,7 @@ class Relative(Layer):
             bound = np.array([self._max_translation] * 3 + [self._max_rotation] * 3)
         lower = -bound
         if self._control == TQUAT and self._to == "last_step":
-            # Of the two quaternions of a small rotation, the one near 1: every member of the space has a direction.
+            # The quaternion of a small rotation is the one near 1: every member of the space has a direction.
             lower[6] = np.cos(self._max_rotation / 2)
         difference = spaces.Box(lower, bound, dtype=np.float64)
         return replaced(inner, self._key, self._control, difference)

@@ -69,7 +69,7 @@ class Recorder(Observer):
                 writer that is too slow leaves out images, flagged and counted; otherwise the loop waits for it.
             stale_after: Age [s] of a frame, from capture to the end of the step, from which it is flagged as stale;
                 None for never, as simulated frames are as old as their drawing takes.
-            device_facts: Returns what open devices say of themselves, which each episode's outcome keeps.
+            device_facts: Returns facts that open devices report, which each episode's outcome keeps.
         """
         self._names = names
         self._broken_off: dict[str, Any] = {}
@@ -193,7 +193,7 @@ class Recorder(Observer):
             self._begin(first, seed)
 
     def on_step(self, transition: Transition) -> None:
-        """Record a step; one in which the simulation diverged has no row, for what it led to is lost.
+        """Record a step; one in which the simulation diverged has no row, because its result is lost.
 
         Raises:
             InvalidSetup: A value is not what the dataset has; the row is not recorded, and the episode stays open.
@@ -201,11 +201,11 @@ class Recorder(Observer):
                 aborted.
         """
         if self._broken_off and self._episode is not None:
-            return  # a state was set; what follows is not what came of the rows so far
+            return  # a state was set; this step does not follow the rows so far
         is_lost = transition.info.get("end") == DIVERGED
         if self._episode is None:
             if self._next is not None and not self._starts_at_reset and not is_lost:
-                # What was seen after this step is where the episode starts; what led there is not part of it.
+                # The episode starts with the observation after this step; the step itself is not part of it.
                 self._begin(replace(transition, action=None, executed=None), None)
             return
         if not is_lost:

@@ -110,7 +110,7 @@ class CameraPort(Port):
             raise
         self._learn()
         for feed in started:
-            # The first frame was taken before the device was asked for its calibration.
+            # The first frame was taken before the device's calibration was read.
             feed.amend(self._takers[feed.name].fixed)
 
     def _learn(self) -> None:
@@ -135,7 +135,7 @@ class CameraPort(Port):
 
     @property
     def device_facts(self) -> dict[str, Any]:
-        """What each open camera says of itself, such as its serial number, and its intrinsics if no file has them."""
+        """Facts that each open camera reports, such as its serial number, and its intrinsics if no file has them."""
         cameras: dict[str, Any] = {}
         for name, camera in self._cameras.items():
             facts = {key: value for key, value in getattr(camera, "about", {}).items() if key != OPTIONS}

@@ -57,7 +57,7 @@ class CameraFeedThread:
 
     @property
     def is_running(self) -> bool:
-        """Whether the camera is connected, or being connected, and nobody has asked for its end."""
+        """Whether the camera is connected, or being connected, and its end was not requested."""
         return self._thread is not None and not self._must_end.is_set()
 
     def start(self) -> bool:
@@ -139,7 +139,7 @@ class CameraFeedThread:
                     last = frame.number
                     self._keep(frame)
                 self._must_end.wait(pause)
-            except Exception as err:  # noqa: BLE001  a camera may fail in any way; its age tells, and it is opened again
+            except Exception as err:  # noqa: BLE001  a camera may fail in any way; its age shows it, and it is reopened
                 self._called = None
                 if not self.failure:
                     _log.warning("camera %s failed and is opened again: %s", self.name, err)

@@ -41,10 +41,10 @@ START_TIME = 10.0
 
 
 class DeviceCalls(Generic[State]):
-    """Sends commands to one device and reads it; neither holds up who asks, however slow the device is.
+    """Sends commands to one device and reads it; neither holds up the caller, however slow the device is.
 
     From its second slow read on, a device is commanded and read on a thread, one call at a time: it gets the newest
-    command as soon as it is free, and who reads gets its newest state. Whatever a call raises there is its fault.
+    command as soon as it is free, and the caller its newest state. Any error of a call there is the device's fault.
     """
 
     def __init__(
@@ -187,7 +187,7 @@ class DeviceCalls(Generic[State]):
             return
         self._send(target, max(self._valid_for, CYCLES * (self._cycle + PAUSE)))
         if self._holds != holds:
-            self._device.hold()  # it was told to while this command was on its way
+            self._device.hold()  # `hold` was called while this command was on its way
 
 
 LEAD = 0.1

@@ -70,7 +70,7 @@ class Port(ABC):
 
     @property
     def device_facts(self) -> Mapping[str, Any]:
-        """What the port's open devices say of themselves, in the same form; each recorded episode has it."""
+        """Facts that the port's open devices report, in the same form; each recorded episode has them."""
         return {}
 
     def command(self, action: Arrays) -> None:  # noqa: B027  a sensor takes no commands

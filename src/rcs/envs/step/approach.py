@@ -107,8 +107,8 @@ class Approach:
                     targets[way.chain].update(way.effector)
             stack.lead(stack.admit(targets))
             if is_held():
-                stack.hold()  # anew: it may have been said before the targets were sent
-                raise Refused("The arms were told to hold on their way, and stay where they are.")
+                stack.hold()  # again: the first call may have been before the targets were sent
+                raise Refused("`hold` was called while the arms were on their way; they stay where they are.")
             clock.tick()
             end = stack.measure()
             if faults := stack.faults():

@@ -342,7 +342,7 @@ class Engine:
         try:
             for_all(calls)
         except Exception as err:  # noqa: BLE001  the first error is the one to be raised
-            error.add_note(f"While the devices were told to hold: {type(err).__name__}: {err}")
+            error.add_note(f"While the devices were made to hold: {type(err).__name__}: {err}")
 
     def hold(self) -> None:
         """Make every device stay where it is; what follows counts from there. May be called from any thread."""

@@ -71,7 +71,7 @@ class Stack:
 
     @property
     def device_facts(self) -> dict[str, dict[str, Any]]:
-        """What open devices say of themselves, for episodes: `cameras` (serial numbers, calibrations of their own)."""
+        """Facts that open devices report, for episodes: `cameras` (serial numbers, calibrations of their own)."""
         return _merged(port.device_facts for port in self.ports)
 
     @property
@@ -358,7 +358,7 @@ def for_all(calls: Sequence[Callable[[], None]]) -> None:
                 failures.append(err)
             break
     if failures:
-        # What must not be caught by `except Exception` goes first.
+        # An error that `except Exception` must not catch goes first.
         first = next((err for err in failures if not isinstance(err, Exception)), failures[0])
         for err in failures:
             if err is not first:

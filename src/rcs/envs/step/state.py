@@ -95,7 +95,7 @@ def write_state(engine: Engine, state: EnvState, copies: NDArray[np.int32]) -> O
         raise InvalidSetup(f"The state is of {len(state)} copies; valid is one, or as many as are set, {len(copies)}.")
     assert engine.simulation is not None, "read_state has checked it"
     world = engine.simulation.world
-    # What the state has no values for was not varied when it was read.
+    # Fields without values in the state were not varied when it was read.
     nominal = {name: np.repeat(world.nominal(name)[None], len(copies), axis=0) for name in world.varied}
     state = replace(state, fields={**nominal, **state.fields})
     own = _form(mine) | {f"fields/{name}": np.shape(getattr(world.model, name, ())) for name in state.fields}

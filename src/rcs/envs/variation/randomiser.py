@@ -203,7 +203,7 @@ def _add_field(vary: Randomiser, wanted: FieldRange) -> None:
     """Vary a field of the model by its name in MuJoCo."""
     model = vary.world.model
     found, names = find_rows(model, wanted)
-    # What is written before in an episode is the base of this range.
+    # Values written before in an episode are the base of this range.
     is_base = np.isin(found, list(vary.written.get(wanted.field, ())))
     rows = vary.rows(wanted.field, found)
     nominal = rows.nominal.reshape(len(found), -1)

@@ -51,7 +51,7 @@ class BrowserView(Page):
 
     @property
     def leader(self) -> int | None:
-        """The page that leads: the first that asked for something, as long as it is heard; None for none."""
+        """The page that leads: the first that made a request, as long as it is heard; None for none."""
         return None if self._link is None else self._link.leader
 
     def update(self) -> None:
@@ -89,7 +89,7 @@ class BrowserView(Page):
 
         Args:
             request: Called by that thread. An error of this library that it raises is shown on the page.
-            page: The page that asks for what only the leading one may do; None for anything else.
+            page: The page of a request that only the leading page may make; None for any other request.
         """
         self._requests.put((request, page))
 
@@ -116,7 +116,7 @@ class BrowserView(Page):
         return "" if link.leader == page else "Another page leads; this one shows. Close that one to lead from here."
 
     def _let_go(self, link: PageLink) -> None:
-        """Have the robots stay that the page led; the next page that asks leads."""
+        """Have the robots that the page led stay; the next page with a request leads."""
         link.leader = None
         has_device = self.session.operator is None and bool(people_of(self.session.agent))
         try:
@@ -154,4 +154,4 @@ def _tell(err: RcsError, panel: Panel) -> None:
 
 
 def _nothing() -> None:
-    """A key that is pressed asks for the lead alone."""
+    """The request of a pressed key, which is for the lead alone."""

@@ -1,4 +1,4 @@
-// What a page says of itself to the program; page_link.py runs it in every page, and puts WORDS in.
+// The messages of a page to the program; page_link.py runs it in every page, and puts WORDS in.
 "use strict";
 
 const { token, codes, beat } = WORDS;

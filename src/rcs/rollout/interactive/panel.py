@@ -87,7 +87,7 @@ class Panel:
         self._next_text = 0.0
 
     def refuse(self, message: str) -> None:
-        """Show why a page may not do what it asks for, and put back what it has changed."""
+        """Show why a page's request is refused, and put back what it has changed."""
         self.show_message(message)
         self._seed.value = self._session.seed
         self._show_who_acts()
@@ -167,7 +167,7 @@ class Panel:
                 gui, "Recover", self._submit, lambda: self._begin(session.recover), hint="Clear faults and go on"
             )
             self._recover.visible = False
-            self._seed = gui.add_number("Seed", session.seed, min=0, step=1, hint="Of the next reset")
+            self._seed = gui.add_number("Seed", session.seed, min=0, step=1, hint="Seed of the next reset")
             starts = {
                 "Reset": lambda: self._begin(lambda: session.reset(int(self._seed.value))),
                 "Next seed": lambda: self._begin(session.reset),

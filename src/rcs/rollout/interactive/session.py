@@ -33,7 +33,7 @@ from rcs.teleop.operator import notes_of
 from rcs.teleop.takeover import end_policies, people_of
 
 ACTOR = Note("actor", words=("page", "agent", "policy", "person"))
-"""Who acted in a row: the person at the page, or an agent; of a takeover, its policy or its person."""
+"""The actor of a row: the person at the page, or an agent; in a takeover, its policy or its person."""
 
 
 def playable(setup: Setup, *, keep_gripper: bool = False) -> Setup:
@@ -58,7 +58,7 @@ class Session(Closing):
     """Episodes of an environment, one after the other, used by one thread. A context manager.
 
     Errors of a step do not end it: `problem` has the message, and `recover` goes on. An agent, or the person behind it,
-    acts at its own rate, and what it asks for is done (`obey`).
+    acts at its own rate, and `obey` carries out its requests.
     """
 
     def __init__(
@@ -242,7 +242,7 @@ class Session(Closing):
                 self.obey(event)
 
     def obey(self, event: Event) -> None:
-        """Do what a person asks for, as `Teleoperation` does; `takeover` takes the robots from an agent.
+        """Carry out a person's request, as `Teleoperation` does; `takeover` takes the robots from an agent.
 
         Raises:
             WrongOrder: A take is to end, and there is none; or to begin, without a folder or after the episode's end.
