@@ -1,7 +1,7 @@
 """The Robot Control Stack: one Gymnasium API for a simulated or a real robot.
 
-Importing it registers the ids of `gymnasium.make` (gymnasium 1.4 no longer looks for plugins by itself) and does
-nothing else: the public names, listed in `__init__.pyi`, are loaded when they are first used.
+The import registers the ids of `gymnasium.make` (gymnasium 1.4 no longer looks for plugins by itself) and does nothing
+else: the public names, listed in `__init__.pyi`, are loaded when they are first used.
 """
 
 from rcs_data.lazy import load_on_use

@@ -54,10 +54,10 @@ PLACES = {
 class Env(gymnasium.Env[Observation, dict[str, Any]]):
     """A robot, simulated or real, as a Gymnasium environment.
 
-    Made by `rcs.make`, or from parts by hand. `print(env)` shows the parts.
+    `rcs.make` makes it, or a program puts it together from parts. `print(env)` shows the parts.
 
-    Whatever goes wrong from the first command on, all devices hold: an error in a layer, a task or an observer, and
-    Ctrl-C. One thread at a time may use an environment; `hold` may be called from any.
+    From the first command on, an error in a layer, a task or an observer makes all devices hold, and so does Ctrl-C.
+    One thread at a time may use an environment; `hold` may be called from any.
     """
 
     def __init__(
@@ -86,10 +86,10 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             setup: The setup; None for an environment that is put together by hand.
             robots: Its robots, simulated or real; None for those of the simulation.
             platform: Origin of every robot, `robot/end effector` and camera: `simulation`, or the name of a driver.
-            site: Hash of what a site says of the real ones; None without a site.
+            site: Hash of a site's entries for the real ones; None without a site.
             instruction: Instruction for the robot; None for that of the task.
             max_episode_steps: An episode is truncated after this many steps; None for no limit.
-            observers: See every step.
+            observers: Observers of every step.
             picture: Draws what `render` returns; None for an environment that has none.
             render_mode: `rgb_array`, `human`, or None.
             title: First line of the printed environment.
@@ -120,7 +120,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         self.platform = dict(platform or dict.fromkeys(self.robots, "simulation" if simulation else "hardware"))
         """Origin of every robot, end effector and camera: `simulation`, or the name of a driver."""
         self.site = site
-        """Hash of what a site says of the real ones: drivers, addresses, options and times; None without a site."""
+        """Hash of a site's entries for the real ones: drivers, addresses, options and times; None without a site."""
         self._picture = picture
         self._title = title
         self._pictures: list[NDArray[np.uint8]] = []
@@ -135,7 +135,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
     if not TYPE_CHECKING:  # type checkers refuse what is not there
 
         def __getattr__(self, name: str) -> Any:
-            """Name the place of what people look for here.
+            """Name the place of contents that users look for here.
 
             Raises:
                 AttributeError: Always.
@@ -171,19 +171,19 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         return self._engine.simulation
 
     def add_observer(self, observer: Observer) -> None:
-        """Have an observer see every step from the next reset on."""
+        """Add an observer, which sees every step from the next reset on."""
         self._engine.observers.add(observer)
 
     def remove_observer(self, observer: Observer) -> None:
-        """Have an observer see no more steps."""
+        """Remove an observer; it sees no more steps."""
         self._engine.observers.remove(observer)
 
     def note(self, **notes: Any) -> None:
-        """Give observers something to see beside the next step, such as who acted or how long a policy took."""
+        """Give observers values beside the next step, such as the actor or the time that a policy took."""
         self._engine.observers.note(notes)
 
     def limits(self) -> Limits:
-        """Return what bounds every robot's motion now: joints, speeds, the step of an action. Nothing moves."""
+        """Return the present bounds of every robot's motion: joints, speeds, the step of an action. Nothing moves."""
         return limits_of(self.robots, self.stack, self.frequency)
 
     def reset(  # pyright: ignore[reportIncompatibleMethodOverride]  # takes the seed by position, too
@@ -192,11 +192,11 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         """Start an episode. On hardware, the first reset connects the devices, and only the option `robot` moves them.
 
         Args:
-            seed: Same seed, same episode, and the same episodes after it. Without one, the next episode of the last
-                seed.
+            seed: The same seed gives the same episode, and the same episodes after it. None takes the next episode of
+                the last seed.
             options: `state` starts the episode in a simulation state of `env.simulation.world.states()`. `robot` starts
-                it with `joints`, and `gripper` or `hand`, as an observation has them (of several robots: under their
-                names), and `objects` with simulated objects at poses (7,) in the base frame (of several robots: the
+                it with `joints`, and `gripper` or `hand`, as an observation has them (several robots: under their
+                names), and `objects` with simulated objects at poses (7,) in the base frame (several robots: in the
                 scene), as `env.simulation.object_poses()` has them.
                 Real arms go to the joints of `robot` on a straight line, at the share `speed` of their largest speeds,
                 0.05 by default, when `may_move` is True, or a function that is given a question and returns True.
@@ -228,21 +228,21 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         `info["end"]` is the reason for the end of the step: `period`, `converged`, `interrupted` or `limit`. A device
         that enters its fault state ends the episode: all devices hold, it is truncated, `info["end"]` is `fault`, and
         `info["faults"]` has the reasons by device; where a device can no longer be measured, the observation is that of
-        the step before. A simulation that leaves the range of finite numbers does the same, as `diverged`, with the
-        last good observation, its time and what the task said of it. `info["target"]` has the absolute targets of the
-        action, and `info["refused"]` the reason of a gate that let nothing through.
+        the step before. A simulation that leaves the range of finite numbers ends the episode as `diverged`, with the
+        last good observation, its time and the task's keys. `info["target"]` has the absolute targets of the action,
+        and `info["refused"]` the reason of a gate that let nothing through.
         `info["time"]` is the time of the observation [s], and in real time `info["late"]` how late the step ended [s]
-        and `info["ages"]` how old each sensor's reading is [s]. `info["clamped"]` counts, by arm and by what was too
-        much, the commands since `open` of which a streamed arm has carried out less.
+        and `info["ages"]` how old each sensor's reading is [s]. `info["clamped"]` counts, by arm and by limit, the
+        commands since `open` that were beyond a streamed arm's limits, which it keeps.
 
         Args:
             action: One array per key of `action_space`.
 
         Raises:
-            InvalidAction: The action is not valid; no device saw it. Only when a device itself refuses it may others
-                have seen it; then all hold, and the episode goes on.
+            InvalidAction: The action is not valid; no device saw it. If a device itself refuses it, others may have
+                seen it; then all hold, and the episode goes on.
             WrongOrder: The environment was not reset, its episode is over, it is closed, or another thread uses it.
-            SimulationError: MuJoCo has given a step up, in its words, such as for want of memory for contacts.
+            SimulationError: MuJoCo has given a step up, such as for want of memory for contacts.
         """
         engine = self._engine
         with engine.calls.enter("step"):
@@ -255,7 +255,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             return step.observation, float(step.reward), bool(step.terminated), bool(step.truncated), step.info
 
     def _look(self) -> None:
-        """Draw what a render mode wants at every step."""
+        """Draw, if the render mode needs it at every step."""
         if self._picture is None:
             return
         if self.render_mode == "human":
@@ -264,7 +264,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             self._pictures.append(self._picture.draw())
 
     def render(self) -> Any:
-        """Return a picture of the scene, (H, W, 3) uint8; `rgb_array_list` all since the last call; else None."""
+        """Return a picture of the scene, (H, W, 3) uint8, a list of all since the last call, or None, by mode."""
         if self._picture is None or self.render_mode == "human":
             return None
         if self.render_mode == "rgb_array_list":
@@ -275,8 +275,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
     def get_state(self) -> EnvState:
         """Return everything that decides what follows, to go back to it with `set_state`; it survives pickling.
 
-        Only in simulation. That is the state of the simulation, of layers and task, of cameras, counters and random
-        numbers. Observers, agents and callbacks in Python keep what they remember.
+        It is the state of the simulation, of layers and task, of cameras, counters and random numbers. Observers,
+        agents and callbacks in Python keep their memory. Real devices have no such state.
 
         Raises:
             WrongOrder: The environment drives real devices, was not reset, is closed, or another thread uses it.
@@ -303,14 +303,14 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             return write_state(self._engine, state, _ONLY)
 
     def hold(self) -> None:
-        """Make every device stay where it is, also when one of them fails to. May be called from any thread.
+        """Make every device stay where it is, even if one of them fails to. Any thread may call it.
 
         The next action counts from where the devices are then, as after `rebase`.
         """
         self._engine.hold()
 
     def rebase(self, robot: str | None = None) -> None:
-        """Count from the measured state from now on: after a person or another program has moved the devices.
+        """Count from the measured state from now on, after a person or another program has moved the devices.
 
         A relative action that says "stay" then stays, and the bounds of a step count from here. An origin of relative
         actions moves here too.
@@ -338,7 +338,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
     def close(self) -> None:
         """Let go of all devices, then of observers and pictures, whatever fails. Closing twice is harmless.
 
-        Called while another thread makes a step, it has all devices hold at once, and closes them after the step. With
+        During a step of another thread, it makes all devices hold at once, and closes them after the step. With
         `at_end="park"` in the setup, real arms go home before, unless something has gone wrong.
 
         Raises:

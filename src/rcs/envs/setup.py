@@ -121,8 +121,8 @@ class Setup(Record):
     """Options of the task, fields of its class `Options`, such as `{"lift_height": 0.05}`."""
     reward: RewardKind = "shaped"
     """Reward of a step: `sparse` 1 at success; `shaped` also the discounted gain in progress,
-    `discount · Φ(s') - Φ(s)`, which leaves the optimal policy as it is; `dense` for where the state is, as ManiSkill's
-    PickCube-v1 does."""
+    `discount · Φ(s') - Φ(s)`, which leaves the optimal policy as it is; `dense` the progress of the state, as in
+    ManiSkill's PickCube-v1."""
     discount: Annotated[float, Meta(gt=0, le=1)] = 0.99
     """The learner's discount of a reward one step later: above 0 and up to 1 (`dense`: below 1). The shaped reward
     depends on it, and the dense one, which pays `1 / (1 - discount)` at success."""
@@ -151,7 +151,7 @@ class Setup(Record):
     episode as `fault`. Turn it off for learning by trial and error."""
     compliance: Compliance | None = None
     """Arms that give way to a push, as springs and dampers of their joints or of the TCP, such as
-    `Compliance(tcp=(500, 30))`; None for stiff ones. For real arms, those of the driver `franka` have it."""
+    `Compliance(tcp=(500, 30))`; None for stiff ones. Among real arms, those of the driver `franka` have it."""
     control: Control = "joints"
     """An arm's action: joint positions; the TCP pose with a quaternion or with roll, pitch, yaw; or a twist, the TCP's
     linear [m/s] and angular velocity [rad/s]."""
@@ -222,7 +222,7 @@ class Setup(Record):
 
     @property
     def robot_label(self) -> str:
-        """Name of the robot for people; of arms side by side, their names joined by `+`."""
+        """Name of the robot for people; for arms side by side, their names joined by `+`."""
         return self.robot if isinstance(self.robot, str) else "+".join(self.robot.values())
 
     def end_effector_of(self, robot: str) -> str | None:

@@ -66,7 +66,7 @@ class _Copies(_Common):
 
 
 def _takes(arguments: Callable[Arguments, object]) -> Callable[[Callable[..., Made]], Callable[Arguments, Made]]:
-    """Give a function the signature of a record: for editors, type checkers and `help`."""
+    """Give a function the signature of a record, for editors, type checkers and `help`."""
 
     def decorate(function: Callable[..., Made]) -> Callable[Arguments, Made]:
         shown, usual = inspect.signature(function), Setup()
@@ -104,12 +104,12 @@ def make(
             effectors, or a mapping from names of robots, cameras and tactile sensors to addresses or devices. All else
             is simulated, in real time and in one world. None for simulation alone.
         layers: Your own layers on top of those of the setup, from the lowest to the highest, as objects, classes or
-            names; of several robots, a sequence per robot by name. Leading names and classes are stored in the setup;
+            names; for several robots, a sequence per robot by name. Leading names and classes are stored in the setup;
             objects, and anything after them, are not recorded and not replayed.
         gates: Gates that the targets of all robots pass before a device sees them: objects, classes or names, or a
             mapping from names to options, such as `{"Guard": {"on_hit": "clip"}}`. Leading names and classes are
             stored in the setup.
-        observers: See every step.
+        observers: Observers of every step.
         render_mode: `rgb_array` for an environment whose `render` draws, `rgb_array_list` for one that draws every
             step, `human` for a window; None for none.
         options: Fields of `Setup`; their defaults and units are listed there.
@@ -151,8 +151,8 @@ def make_vec(
         threads: Threads for physics and rendering, 0 for one per CPU.
         autoreset: When a copy starts its next episode: `NextStep`, `SameStep` or `Disabled` (gymnasium's).
         layers: Your own layers, as in `make`.
-        gates: As in `make`; a guard of copies must have `on_hit="clip"`.
-        render_mode: None: copies have `cameras`, and nothing else that draws.
+        gates: Gates, as in `make`; a guard of copies must have `on_hit="clip"`.
+        render_mode: None; copies draw nothing but the frames of `cameras`.
         options: Fields of `Setup`; their defaults and units are listed there.
 
     Raises:
@@ -223,5 +223,5 @@ def _parts(setup: Setup, layers: AnyLayers, gates: AnyGates) -> Parts:
 
 
 def _has_name(layer: AnyLayer | AnyGate) -> bool:
-    """Return whether a layer or gate is found again by its name; one that is defined inside of a function is not."""
+    """Return whether a name finds the layer or gate again; a class that is defined in a function has no such name."""
     return isinstance(layer, str) or (isinstance(layer, type) and "<locals>" not in layer.__qualname__)
