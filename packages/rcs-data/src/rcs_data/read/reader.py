@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Dataset:
-    """A dataset on disk, for reading; one that is being recorded can be read too.
+    """A dataset on disk, for reading, even while it is recorded.
 
     Example:
         >>> dataset = Dataset("datasets/pick")  # doctest: +SKIP
@@ -33,7 +33,7 @@ class Dataset:
 
         Args:
             path: The folder.
-            index: Its index, if it was read already.
+            index: Its index, if the caller has read it already.
 
         Raises:
             DatasetError: There is no dataset, or its layout is of another version.
@@ -73,12 +73,12 @@ class Dataset:
         Raises:
             InvalidSetup: An argument does not make sense, or there is no window.
         """
-        from rcs_data.read.windows import Windows  # which reads datasets itself
+        from rcs_data.read.windows import Windows  # it reads datasets itself
 
         return Windows(self, history=history, horizon=actions, **options)
 
     def digest(self) -> str:
-        """Return one SHA-256 over all episodes except times and flags: equal for two runs of one collection."""
+        """Return one SHA-256 over all episodes without times and flags, equal for two runs of one collection."""
         total = hashlib.sha256()
         for entry in (episode.entry for episode in self.episodes):
             total.update(f"{entry.id} {entry.content_hash}\n".encode())
@@ -104,11 +104,11 @@ class Dataset:
     @overload
     def __getitem__(self, episode: slice) -> tuple[EpisodeRecord, ...]: ...
     def __getitem__(self, episode: str | SupportsIndex | slice) -> EpisodeRecord | tuple[EpisodeRecord, ...]:
-        """Return the episode of an id, or of a number among those sorted by id; or all of a slice.
+        """Return the episode with an id, or at a place in the order of the ids, or all episodes of a slice.
 
         Raises:
-            InvalidSetup: There is none of this id.
-            IndexError: There is none of this number.
+            InvalidSetup: No episode has the id.
+            IndexError: No episode is at the place.
         """
         if not isinstance(episode, str) and (isinstance(episode, slice) or hasattr(episode, "__index__")):
             return self.episodes[episode]
@@ -124,7 +124,7 @@ class Dataset:
 
 
 def _records(folder: Path, index: Index) -> tuple[EpisodeRecord, ...]:
-    """Return the records of all episodes by id; looks for garbage in between would take longer than the rest."""
+    """Return the records of all episodes by id, without garbage collections, which would take longer than the rest."""
     was_on = gc.isenabled()
     gc.disable()
     try:
