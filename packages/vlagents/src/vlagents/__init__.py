@@ -1,4 +1,4 @@
-"""Serves robot policies from their own Python environment. Nothing here knows a robot or a learning framework."""
+"""Serves robot policies from their own Python environment, for any robot and any learning framework."""
 
 import importlib
 from typing import TYPE_CHECKING, Any

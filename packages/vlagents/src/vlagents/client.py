@@ -31,8 +31,8 @@ from vlagents.wire.stream import LARGEST_BODY, StreamChannel
 class Client(RemotePolicy):
     """Calls the policy of a `Server`.
 
-    On the server's machine, arrays go through shared memory; the client finds out by itself. A late answer raises
-    `DeadlineExceeded` and is discarded when it arrives; the session continues.
+    On the server's machine, arrays go through shared memory, which the client finds by itself. A call whose answer is
+    late raises `DeadlineExceeded`; the answer is discarded when it arrives, and the session continues.
     """
 
     schemes = ("vla", "vlas")
@@ -43,15 +43,15 @@ class Client(RemotePolicy):
 
         Args:
             address: `vla://host:port`, or `vlas://host:port` with TLS.
-            is_shared: True to send arrays through shared memory, False not to; None where it can be.
-            options: As of `RemotePolicy`.
+            is_shared: True to require shared memory for arrays, False to do without, None to use it where possible.
+            options: Options of `RemotePolicy`.
 
         Raises:
             InvalidInput: The address is not valid.
-            ConnectionLost: No server is there, or no shared memory where it must be.
-            DeadlineExceeded: It does not answer.
+            ConnectionLost: There is no server, or no shared memory where it is required.
+            DeadlineExceeded: The server does not answer.
             Unauthorized: The token is wrong.
-            Mismatch: Robot and policy do not fit.
+            Mismatch: The robot and the policy do not fit each other.
         """
         self._is_shared = is_shared
         self._number = 0
@@ -90,7 +90,7 @@ class Client(RemotePolicy):
 
     def _ask_over(self, channel: StreamChannel, call: str, given: dict[str, Any]) -> dict[str, Any]:
         deadline = Deadline(self.timeout, f"The answer of {self.address}")
-        while len(self._late) >= SLOTS:  # of shared memory, both slots may still be read
+        while len(self._late) >= SLOTS:  # both slots of shared memory may still be read
             self._take(channel, deadline)
         if not self._late:
             channel.settled()
@@ -116,7 +116,7 @@ class Client(RemotePolicy):
         return answer
 
     def _take(self, channel: StreamChannel, deadline: Deadline) -> dict[str, Any]:
-        """Return the next answer, to whichever call it is."""
+        """Return the next answer, to any call."""
         try:
             if not channel.wait(deadline.left()):
                 raise deadline.exceeded()
