@@ -5,7 +5,7 @@ margin, and is straight in joint space; its farthest joint goes 0.03 to 0.35 rad
 mid-way of a link or finger, so that both ends may be free, and a third have a box ahead of one.
 
 The judge puts the model at points of the way and asks `mj_collision`; it knows nothing of the guard's checker. From
-each point it goes as far as no pair can have used up the distance that MuJoCo tells (or 2 mm, where that is more):
+each point it goes as far as no pair can have used up the distance that MuJoCo gives (or 2 mm, where that is more):
 what a pair approaches at most is the sum, over the joints between the two, of the joint's way times a lever arm.
 Colliding are motions in contact at any point, free are those that keep the margin and 2 mm at all points, and
 therefore the margin everywhere; what lies between is neither. Grippers and the table are to keep 1 mm.
@@ -138,7 +138,7 @@ class Judge:
         return bool((np.maximum(ends[0].max(axis=-1), -1.0) <= np.minimum(ends[1].min(axis=-1), 1.0)).any())
 
     def __enter__(self) -> Judge:
-        """Have contacts told from a distance on."""
+        """Have contacts reported from a distance on."""
         self._margins = self.model.geom_margin.copy(), self.model.body_margin.copy()
         self.model.geom_margin[:] = self._threshold
         self.model.body_margin[:] = SEEN

@@ -3,8 +3,8 @@
 N episodes per setup and mode of asynchronous steps at 30 Hz towards random joints in the whole range, the first from
 rest, the next after 3 to 30 steps and so in motion. The judge is MuJoCo: every contact of a robot in every physics step
 counts, but for those of the task's object and of one gripper with itself. A first refusal of an episode is a false stop
-when the step that was asked for, executed without a guard, with the arms told to hold after it, keeps all distances and
-2 mm in every physics step. Prints one JSON object per setup and mode: `touching` (episodes with a contact),
+when the requested step, executed without a guard, with the arms held after it, keeps all distances and 2 mm in every
+physics step. Prints one JSON object per setup and mode: `touching` (episodes with a contact),
 `worst_force_n` (the largest normal force of such a contact), `stopped` (episodes in which the guard intervened),
 `false_stops` (part of all decisions), `p99_ms` and `p50_ms` (time of a decision), `episodes`, `decisions`.
 """

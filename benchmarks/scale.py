@@ -49,7 +49,7 @@ OPERATIONS = {
     "import": "convert.import_lerobot(other + '-lerobot', other + '-imported')",
     "view": "from rcs_data.view import write_view; write_view(path)",
 }
-# The most memory of this process alone; what `wait4` tells begins with that of its parent.
+# The most memory of this process alone; the figure of `wait4` begins with that of its parent.
 MEMORY = "\nprint(next(line for line in open('/proc/self/status') if line.startswith('VmHWM')).split()[1])\n"
 FEATURES = (
     Feature(key="observation/joints", shape=(7,), dtype="float64"),

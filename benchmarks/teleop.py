@@ -86,7 +86,7 @@ def main(options: Options) -> None:
             print(json.dumps({"part": name, **result, "busy": is_busy()}))
 
 
-# --- What a person gets done ------------------------------------------------------------------------------------------
+# --- Work of a person -------------------------------------------------------------------------------------------------
 
 
 class Calm(PickExpert):

@@ -113,7 +113,7 @@ void bind_hosted(nb::module_& m) {
       .def("next", &HostDesk::next, WithoutGil(), "seconds"_a,
            "The next request, or None after `seconds` or when the program has ended.")
       .def("answer", &HostDesk::answer, WithoutGil(), "request"_a, "outcome"_a, "text"_a = "", "flag"_a = false,
-           "Tell how a request ended. If the device was told to hold meanwhile, it is held again first.")
+           "Report how a request ended. If the device was held meanwhile, it is held again first.")
       .def("show", nb::overload_cast<const rcs::ArmState&>(&HostDesk::show), "state"_a, "Hand out a measurement.")
       .def("show", nb::overload_cast<const rcs::GripperState&>(&HostDesk::show), "state"_a)
       .def("show", nb::overload_cast<const rcs::HandState&>(&HostDesk::show), "state"_a)

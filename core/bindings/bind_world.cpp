@@ -183,8 +183,8 @@ void bind_world(nb::module_& m) {
           "motion"_a, "target"_a, "copy"_a, "tick"_a,
           "Return what the next step to a target (dof,) [rad] would do: where the joints are led to (n, dof), from now "
           "to the end of the step and while they brake to rest from there, at most every `tick` [s] and at the same "
-          "times for all motions; in a synchronous step, until they stand. With an empty target, they are told to "
-          "hold. Nothing changes.")
+          "times for all motions; in a synchronous step, until they stand. With an empty target, they hold. "
+          "Nothing changes.")
       .def("on_period", &rcs::World::on_period, "callback"_a, "period"_a,
            "Call every `period` seconds of simulated time.")
       .def("converge_when", &rcs::World::converge_when, "callback"_a,

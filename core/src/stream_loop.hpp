@@ -68,7 +68,7 @@ struct StreamedArm::Loop {
     kind = CommandKind::joints;
     done = taken_holds = 0;
     last_tick = closing_since = kForever;
-    orders.take();  // what came too late before the last close
+    orders.take();  // orders that were too late before the last close
     arm.connect();
     read();
     publish();
@@ -315,10 +315,10 @@ struct StreamedArm::Loop {
       const Order& order = orders.take();
       if (order.number <= done) return;
       done = order.number;
-      if (!arm.fault().empty()) return;  // it came between the check of this command and its sending
+      if (!arm.fault().empty()) return;  // it was set between the check of this command and its sending
       deadline = order.deadline;
       if (now < deadline && (is_led || start())) {
-        if (order.kind != kind && !stands()) return brake();  // it came before this one was seen
+        if (order.kind != kind && !stands()) return brake();  // it preceded this one
         kind = order.kind;
         if (kind == CommandKind::joints)
           leader.follow(order.values, period);
@@ -408,7 +408,7 @@ struct StreamedArm::Loop {
   Newest<Seen> seen;
   std::atomic<double> period, last_tick = kForever, called_at = kForever;
   std::atomic<std::uint64_t> sent = 0;    // commands so far
-  std::atomic<std::uint64_t> held = 0;    // of these, the ones that came before the last order to hold
+  std::atomic<std::uint64_t> held = 0;    // of these, the ones before the last order to hold
   std::atomic<std::uint64_t> holds = 0;   // orders to hold so far
   std::atomic<std::uint64_t> rested = 0;  // of these, the last one after which the arm stood still
   std::atomic<std::uint64_t> ticks = 0, missed = 0, lapses = 0;

@@ -809,7 +809,7 @@ class HostDesk:
 
     def answer(self, request: HostRequest, outcome: HostOutcome, text: str = '', flag: bool = False) -> None:
         """
-        Tell how a request ended. If the device was told to hold meanwhile, it is held again first.
+        Report how a request ended. If the device was held meanwhile, it is held again first.
         """
 
     @overload
@@ -1607,7 +1607,7 @@ class World:
 
     def preview(self, motion: Motion, target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], copy: int, tick: float) -> NDArray[numpy.float64]:
         """
-        Return what the next step to a target (dof,) [rad] would do: where the joints are led to (n, dof), from now to the end of the step and while they brake to rest from there, at most every `tick` [s] and at the same times for all motions; in a synchronous step, until they stand. With an empty target, they are told to hold. Nothing changes.
+        Return what the next step to a target (dof,) [rad] would do: where the joints are led to (n, dof), from now to the end of the step and while they brake to rest from there, at most every `tick` [s] and at the same times for all motions; in a synchronous step, until they stand. With an empty target, they hold. Nothing changes.
         """
 
     def on_period(self, callback: StepCallback, period: float) -> None:

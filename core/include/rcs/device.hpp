@@ -127,8 +127,8 @@ class RCS_API Device {
   /// Stop, and end guiding. Runs on the thread that stops, beside whatever else the device does, but never twice at
   /// once, and never beside `do_open` or `do_close`. It throws when the device cannot be reached.
   virtual void do_hold() {}
-  /// Return when the device, which was told to hold, stands still, or does not in time: where it brakes on a thread of
-  /// the program, which may end next.
+  /// Return when the device stands still after `do_hold`, or does not in time: where it brakes on a thread of the
+  /// program, which may end next.
   virtual void do_await_rest() {}
   virtual bool do_has_arrived() { return true; }
   /// Give way to a person's hand until `do_hold`.

@@ -3,7 +3,7 @@
 // libmujoco keeps one table of OpenGL functions per process, so all contexts of a process share one backend: the first
 // context chooses it. A context is current in at most one thread at a time; `GlContext::Current` brackets each use.
 //
-// Mesa's software renderer is told to rasterise in the thread that draws, unless the environment sets LP_NUM_THREADS:
+// Mesa's software renderer rasterises in the thread that draws, unless the environment sets LP_NUM_THREADS:
 // handing small pictures to its own threads costs up to half of the speed, and the cores belong to the render threads.
 #pragma once
 

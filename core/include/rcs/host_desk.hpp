@@ -50,7 +50,7 @@ class HostDesk {
   void promise(const char* under_way, double seconds);
   /// The next request, or nothing after `seconds` or when the program has ended.
   std::optional<HostRequest> next(double seconds);
-  /// Tell how a request ended. If the device was told to hold meanwhile, it is held again first.
+  /// Report how a request ended. If the device was held meanwhile, it is held again first.
   void answer(const HostRequest& request, HostOutcome outcome, const std::string& text, bool flag);
   void show(const ArmState& state);
   void show(const GripperState& state);

@@ -27,7 +27,7 @@ struct Springs {
 
 /// Moves position servos of some joints to a target, in each copy of a world, along a `Trajectory`.
 ///
-/// A motion that would take more torque than the motors have beside gravity (that of a load they were told of, too) is
+/// A motion that would take more torque than the motors have beside gravity (that of a declared load, too) is
 /// made with less acceleration, as much as inverse dynamics ask for. Besides the position, the servo is given the
 /// velocity and the force of the acceleration, so that it does not lag behind. An arm that is kept from following is
 /// not run away from: its trajectory begins anew at most 0.2 rad from it.
@@ -61,8 +61,8 @@ class Motion final : public StepCallback {
   /// True if the trajectory in this memory of a copy has come to its target.
   bool has_ended(const double* memory, int copy);
 
-  /// Plan the motion of a step. The target is what was written into the first `dof` numbers. Joints that were told to
-  /// hold brake; those that are not where they were led to begin anew from where they are measured.
+  /// Plan the motion of a step. The target is what was written into the first `dof` numbers. Joints that are to hold
+  /// brake; those that are not where they were led to begin anew from where they are measured.
   void begin(const mjModel* model, mjData* data, int copy, const Step& step);
   /// Write the controls of the next physics step.
   void advance(const mjModel* model, mjData* data, int copy);
@@ -73,7 +73,7 @@ class Motion final : public StepCallback {
 
   /// The effect of a step to a target: where the joints are led to, `dof` numbers each, from now to the end of the step
   /// and while they brake to rest from there, at most every `tick` [s] and at the same times for all motions; in a
-  /// synchronous step, until they stand. Without a target, they are told to hold. Nothing changes but what is derived
+  /// synchronous step, until they stand. Without a target, they hold. Nothing changes but what is derived
   /// in `data`.
   std::vector<double> preview(const mjModel* model, mjData* data, int copy, const Step& step,
                               std::span<const double> target, double tick);

@@ -24,7 +24,7 @@ struct RCS_API MotionLimits {
 
   /// How far a target may lead each joint [rad], when targets come every `period` [s]: what an arm at full speed needs
   /// to stop, were it to brake at half of its acceleration, and what a target makes at full speed in two periods. A
-  /// target that leads by less slows the arm down; one that leads by more tells it nothing.
+  /// target that leads by less slows the arm down; one that leads by more has no effect.
   std::vector<double> lead(double period) const;
 };
 
