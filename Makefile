@@ -35,7 +35,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip -qq --disable-pip-version-check
 JOBS := $(shell nproc 2>/dev/null || echo 2)
 
-# What builds the extension. Build isolation is off: an isolated build would fetch these anew each time and compile from nothing.
+# These build the extension. Build isolation is off: an isolated build would fetch these anew each time and compile from nothing.
 BUILD_TOOLS := scikit-build-core nanobind mujoco-core ruckig cmake ninja
 # Folders too: a file that is gone changes nothing but its folder's time.
 CORE := CMakeLists.txt $(shell find cmake core -not -path '*/tests*' -not -path '*/examples*')
@@ -113,9 +113,9 @@ docs: $(VENV)/.stamp-docs
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=$(JOBS) --maxprocesses=8 --dist=loadfile --no-loadscope-reorder \
   --durations=10
 
-# Runs the tests that $(2) selects by the command $(1). What fails is run once more, by itself, and has to pass then: other work
-# on a machine makes late what keeps real time. The first failures are printed all the same. Only after status 1: then every test
-# has run, and of $(2) the cache has those that failed. With any other status the run itself is broken.
+# Runs the tests that $(2) selects by the command $(1). Tests that fail are run once more, by themselves, and have to pass then: other
+# work on a machine makes tests in real time late. The first failures are printed all the same. Only after status 1: then every test
+# has run, and the cache has those of $(2) that failed. With any other status the run itself is broken.
 TESTED = $(1) $(2) || { [ $$? -eq 1 ] && echo "==> Testing once more what failed" && \
   OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(2) --last-failed --last-failed-no-failures none; }
 

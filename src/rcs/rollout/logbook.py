@@ -36,7 +36,7 @@ def condition_of(evaluation: Evaluation, identity: Identity, env: Env | None = N
 
     Args:
         evaluation: The evaluation.
-        identity: Who acts.
+        identity: The agent.
         env: The environment, if its devices are real; None for simulation.
 
     Raises:
@@ -128,7 +128,7 @@ class Logbook(Closing):
 
         Args:
             evaluation: The evaluation, which has a folder.
-            identity: Who acts.
+            identity: The agent.
             condition: The condition that its episodes share.
             judge: The judge, `task` or `person`.
             is_blind: Whether nothing that is written may say who acts.

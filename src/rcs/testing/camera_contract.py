@@ -176,7 +176,7 @@ class CameraContract(DeviceContract[Camera]):
         for _ in range(10):
             camera.read()
 
-    # --- What it is ---------------------------------------------------------------------------------------------------
+    # --- Properties ---------------------------------------------------------------------------------------------------
 
     def test_depth_is_measured_somewhere(self) -> None:
         """Where the mode has it; 0 is no reading."""
