@@ -87,7 +87,7 @@ class Realsense(Camera):
 
     @property
     def about(self) -> dict[str, Any]:
-        """Facts for recordings: address, options, and once it is open, what the camera says of itself."""
+        """Facts for recordings: address, options, and once it is open, the facts that the camera reports."""
         return {"serial": self._address, "options": self._options, **self._told}
 
     def plug(self) -> Plug | None:
