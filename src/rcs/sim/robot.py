@@ -192,7 +192,7 @@ class SimRobot:
         memory[..., -1] = 0.0
 
     def stop(self) -> None:
-        """Brake the arms of all copies to rest within their limits, from any thread; of several copies, between steps."""
+        """Brake the arms of all copies to rest within their limits, from any thread; with copies, between steps."""
         memory = self._memory
         memory[..., : self.placement.arm.dof] = self.joints
         memory[..., -1] = 1.0
