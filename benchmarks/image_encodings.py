@@ -6,23 +6,37 @@ three rounds.
 
 Prints a JSON object per size and kind of sensor; of each encoding `kb`, `psnr_db` (mean over all pixels),
 `worst_block_db` (of 16 x 16 pixels), `record_ms`, `finish_ms`, `read_ms` (in order) and `alone_ms` (in random order).
+`beside_packages` has what the library writes and reads itself, and what packages take for the same, in turns [ms]: to
+write a ZIP of 300 images, to open it and read one of them at random, to write depth as PNG.
 """
 
 from __future__ import annotations
 
+import io
+import itertools
 import json
+import random
 import tempfile
 import time
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, get_args
 
+import av
 import numpy as np
+import pyarrow as pa
+import simplejpeg
 import tyro
 from numpy.typing import NDArray
+from PIL import Image
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, FrameAccess
+from rcs_data.files.codec import encode_png
+from rcs_data.files.durable import HashedFile
 from rcs_data.files.feature import Colour
+from rcs_data.files.frames_file import FramesFile, FramesWriter
 
 import rcs
 from rcs.rollout.collect import collect
@@ -31,6 +45,7 @@ from rcs.rollout.collection import Collection, Progress
 KEY = "observation/frames/camera/rgb"
 MODES = ("224x224", "640x480")
 BLOCK = 16
+IN_A_FILE, CALLS = 300, 50
 Takes = list[list[NDArray[np.uint8]]]
 
 
@@ -48,22 +63,24 @@ def main(options: Options) -> None:
     """Measure and print."""
     for mode in MODES:
         for noise in (False, True):
-            takes = collected(mode, noise=noise, episodes=options.episodes)
+            takes, depths = collected(mode, noise=noise, episodes=options.episodes)
             result: dict[str, Any] = {"benchmark": "image_encodings", "size": mode, "noise": noise}
             result["images"] = sum(map(len, takes))
             for colour in get_args(Colour):
                 with tempfile.TemporaryDirectory() as folder:
                     result[colour] = measured(Path(folder) / "set", takes, colour, options.rounds)
+            with tempfile.TemporaryDirectory() as folder:
+                result["beside_packages"] = beside_packages(Path(folder), takes, depths, options.rounds)
             print(json.dumps(result), flush=True)
 
 
-def collected(mode: str, *, noise: bool, episodes: int) -> Takes:
-    """Return the images of each camera of each episode."""
+def collected(mode: str, *, noise: bool, episodes: int) -> tuple[Takes, list[NDArray[np.uint16]]]:
+    """Return the images of each camera of each episode, and all depth images."""
     width, height = map(int, mode.split("x"))
     setup = rcs.Setup(
         task="PickCuboid",
         robot="fr3",
-        cameras=rcs.Cameras(names=("wrist", "side"), image_size=(width, height), noise=noise),
+        cameras=rcs.Cameras(names=("wrist", "side"), image_size=(width, height), noise=noise, depth=True),
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "set"
@@ -71,7 +88,9 @@ def collected(mode: str, *, noise: bool, episodes: int) -> Takes:
             pass
         dataset = Dataset.open(path)
         keys = [feature.key for feature in dataset.info.features if feature.colour is not None]
-        return [list(episode.frames(key)) for episode in dataset for key in keys]
+        takes = [list(episode.frames(key)) for episode in dataset for key in keys]
+        keys = [feature.key for feature in dataset.info.features if feature.encoding == "depth"]
+        return takes, [image for episode in dataset for key in keys for image in episode.frames(key)]
 
 
 def measured(path: Path, takes: Takes, colour: Colour, rounds: int) -> dict[str, float | None]:
@@ -112,6 +131,65 @@ def measured(path: Path, takes: Takes, colour: Colour, rounds: int) -> dict[str,
         "worst_block_db": decibel(errors[:, 1].max()),
         **{f"{name}_ms": round(1e3 * seconds / count, 2) for name, seconds in times.items()},
     }
+
+
+def beside_packages(
+    folder: Path, takes: Takes, depths: list[NDArray[np.uint16]], rounds: int
+) -> dict[str, dict[str, float]]:
+    """Return how long our own writers and readers take, and those of packages, in turns; the best round counts [ms]."""
+    taken = itertools.islice(itertools.chain(*takes), IN_A_FILE)
+    images = [simplejpeg.encode_jpeg(np.ascontiguousarray(image), 95, "RGB", "420") for image in taken]
+    rows = pa.table({KEY: pa.array(images, pa.binary())})
+    ours, theirs = folder / "ours.zip", folder / "theirs.zip"
+    draw, depth = random.Random(0), itertools.cycle(depths)
+
+    def write_ours() -> None:
+        with FramesWriter(ours, [KEY]) as frames:
+            frames.numbered(rows)
+            frames.complete()
+
+    def write_zipfile() -> None:
+        file: Any = HashedFile(theirs)
+        with zipfile.ZipFile(file, "w") as frames:
+            for number, image in enumerate(images):
+                frames.writestr(f"{number:08d}.jpg", image)
+        file.complete()
+
+    def read_zipfile() -> None:
+        with zipfile.ZipFile(theirs) as frames:
+            frames.read(draw.choice(frames.infolist()))
+
+    tasks: dict[str, dict[str, Callable[[], object]]] = {
+        f"zip, write {len(images)}": {"ours": write_ours, "zipfile": write_zipfile},
+        "zip, open and read one": {
+            "ours": lambda: FramesFile(ours).image(draw.randrange(len(images))),
+            "zipfile": read_zipfile,
+        },
+        "png, write": {
+            "ours": lambda: encode_png(next(depth)),
+            "PyAV": lambda: png_by_pyav(next(depth)),
+            "Pillow": lambda: Image.fromarray(next(depth)).save(io.BytesIO(), "png", compress_level=1),
+        },
+    }
+    best = {task: dict.fromkeys(ways, np.inf) for task, ways in tasks.items()}
+    for _ in range(rounds):
+        for task, ways in tasks.items():
+            for name, call in ways.items():
+                begin = time.process_time()
+                for _ in range(CALLS):
+                    call()
+                best[task][name] = min(best[task][name], round(1e3 * (time.process_time() - begin) / CALLS, 3))
+    return best
+
+
+def png_by_pyav(image: NDArray[np.uint16]) -> bytes:
+    """Return depth as FFmpeg's PNG, with the filter "sub" and the fastest level that is not much larger."""
+    context: Any = av.CodecContext.create("png", "w")
+    context.height, context.width = image.shape
+    context.pix_fmt, context.time_base, context.thread_count = "gray16be", Fraction(1), 1
+    context.options = {"compression_level": "1", "pred": "sub"}
+    (packet,) = context.encode(av.VideoFrame.from_ndarray(image, format="gray16be"))
+    return bytes(packet)
 
 
 def block_errors(pairs: Iterator[tuple[NDArray[Any], NDArray[Any]]]) -> Iterator[tuple[float, float]]:

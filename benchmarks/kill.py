@@ -366,6 +366,12 @@ def is_clean(folder: Path, results: list[Path], totals: Totals) -> bool:
     return not left and is_named
 
 
+def seen(folder: Path) -> tuple[str, list[str]]:
+    """Return the numbers of a dataset and its instructions."""
+    dataset = Dataset.open(folder)
+    return dataset.digest(), [episode.instruction for episode in dataset.episodes]
+
+
 def kill_edits(folder: Path, source: Path, rng: random.Random, totals: Totals) -> bool:
     """Kill a program that edits, look at what is left, and return whether each edit is there or not, and whole."""
     shutil.copytree(source, folder)
@@ -385,9 +391,9 @@ def kill_edits(folder: Path, source: Path, rng: random.Random, totals: Totals) -
         is_edit &= len(Dataset.open(merged)) == 2 * len(ids) and check(merged).is_ok
     recover(folder)
     is_ok = check(folder).is_ok
-    if Dataset.open(folder).digest() != recorded.digest():
+    if seen(folder) != seen(source):
         edit.undo(folder)
-    is_edit &= Dataset.open(folder).digest() == recorded.digest()
+    is_edit &= seen(folder) == seen(source)
     totals.finished += len(ids)
     totals.damaged += len(damaged)
     totals.failed_checks += not is_ok

@@ -141,9 +141,14 @@ def try_kind(robot: str, kind: str, tries: int) -> dict[str, Any]:
     for trial in seen:
         begin, end = np.searchsorted(ticks["time"], trial["recover"])
         joints = ticks["joints"][begin:end]
-        moved.append(1e3 * float(np.abs(joints - joints[0]).max(initial=0.0)) if len(joints) else np.nan)
-    expected = Counter(trial["steps"] for trial in seen if trial["says"])
-    missing = (expected - Counter(kept)).total()
+        if len(joints):
+            moved.append(1e3 * float(np.abs(joints - joints[0]).max()))
+    left, missing = Counter(kept), 0
+    for steps in sorted(trial["steps"] for trial in seen if trial["says"]):
+        # The step that a fault ends is a row if the devices could still be measured.
+        found = next((length for length in (steps, steps + 1) if left[length]), None)
+        missing += found is None
+        left[found or 0] -= 1
     times = [trial["ms"] for trial in seen]
     return {
         "n": tries - sum(trial["is_early"] for trial in seen),
@@ -153,8 +158,8 @@ def try_kind(robot: str, kind: str, tries: int) -> dict[str, Any]:
         "p99_ms": percentile(times, 99),
         "max_ms": percentile(times, 100),
         "rows_lost": missing,
-        "moved_mrad": round(float(np.nanmax(moved)), 2),
-        "moved_unknown": int(np.isnan(moved).sum()),
+        "moved_mrad": percentile(moved, 100),
+        "moved_unknown": tries - len(moved),
         "recover_failed": [trial["failure"] for trial in seen if trial["failure"]][:1],
         "works_not": len(broken),
         **({"because": broken[0]} if broken else {}),

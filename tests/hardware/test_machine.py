@@ -1,4 +1,4 @@
-"""What the examination of a machine says of its files in `/dev`, and which answers to its packets count."""
+"""Findings of an examination about the machine's files in `/dev`, and the answers to its packets that count."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class Part(Record):
         InvalidSetup: A field does not make sense, or both a number and a share are given.
     """
 
-    path: Path = converted(converter=Path)
+    path: Path = converted(converter=lambda given: Path(given) if isinstance(given, str) else given)
     """Folder of the dataset."""
     episodes: Natural | None = None
     """Number of episodes, drawn by the seed; None for all, or for the share."""
@@ -179,15 +179,16 @@ def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Ha
     for name, dataset in zip(names, datasets, strict=True):
         info = renamed(dataset.info, how.rename.get(name, {}))
         kept = [f for f in info.features if not any(f.key == key or f.key.startswith(f"{key}/") for key in how.drop)]
-        info = replace(info, features=tuple(kept))
-        if how.frequency is not None and info.frequency != how.frequency:
-            info = at_rate(info, how.frequency)
-        if how.size is not None and cameras_of(info):
-            info = resized(info, how.size)
-        infos.append(info)
+        infos.append(replace(info, features=tuple(kept)))
     if how.common:
         shared = set.intersection(*({feature.key for feature in info.features} for info in infos))
         infos = [replace(info, features=tuple(f for f in info.features if f.key in shared)) for info in infos]
+    if how.frequency is not None:
+        rate = how.frequency
+        infos = [info if info.frequency == rate else at_rate(info, rate) for info in infos]
+    if how.size is not None:
+        size = how.size
+        infos = [resized(info, size) if cameras_of(info) else info for info in infos]
     # A state can be restored only in the simulation that made it.
     states = {(info.sim_state_size, json.dumps(info.setup, sort_keys=True)) for info in infos}
     if len(states) > 1:

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +90,7 @@ class FrameAccess:
         self._numbers: ByteCache[dict[str, NDArray[np.int32]]] = ByteCache(cache_bytes)
         self._reader = object()
         self._decoded: dict[tuple[Any, ...], NDArray[Any]] = {}
+        finalize(self, _opened.cache_clear).atexit = False  # closes its files, and those of others, which reopen theirs
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy nothing but the limit."""

@@ -283,6 +283,10 @@ class BackgroundEpisode:
         images = [key for key in self._images if row.get(key) is not None]
         for key in images:
             row[key] = None
+            flags = self._flags[key]
+            if flags is not None:
+                before: Any = row.get(flags)
+                row[flags] = int(FrameFlag(int(before or 0)) | FrameFlag.DROPPED)
         self._lost.update(images)
         self._count_drop(images=len(images))
 
@@ -291,9 +295,8 @@ class BackgroundEpisode:
         for key, flags in self._flags.items():
             if row.get(key) is not None:
                 self._lost.discard(key)
-            elif key in self._lost and flags is not None:
-                before: Any = row.get(flags)
-                row[flags] = int(FrameFlag(int(before or 0)) | FrameFlag.DROPPED)
+            elif key in self._lost and flags is not None and (before := row.get(flags)):  # else a frame is missing
+                row[flags] = int(FrameFlag(int(before)) | FrameFlag.DROPPED)
 
     def _count_drop(self, *, images: int = 0, rows: int = 0) -> None:
         if not self.dropped_images and not self.dropped_rows:

@@ -87,7 +87,7 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
     with new_output(out) as partial, h5py.File(partial, "w", libver=("v110", "v110")) as file:
         data = file.create_group("data")
         data.attrs["total"] = total
-        data.attrs["env_args"] = json.dumps(_environment(info))
+        data.attrs["env_args"] = json.dumps(_environment(info, action))
         if options.normalise:
             statistics = {"offset": [offset.tolist()], "scale": [scale.tolist()]}
             data.attrs[NORMALISATION] = json.dumps({"actions": statistics})
@@ -165,11 +165,14 @@ def _chunk(image: NDArray[Any], compress: bool) -> bytes:
     return zlib.compress(shuffled.tobytes(), _ZLIB_LEVEL)
 
 
-def _environment(info: DatasetInfo) -> dict[str, Any]:
+def _environment(info: DatasetInfo, action: VectorLayout) -> dict[str, Any]:
+    # What was executed is absolute, whatever the actions are relative to.
+    is_own = all(feature.key.startswith("action/") for feature in action.features)
+    meaning = {} if is_own else {"relative": "absolute"}
     return {
         "env_name": str(info.setup.get("task") or info.instruction),
         "type": _GYM_ENVIRONMENT,
-        "env_kwargs": {**info.setup, "control_freq": info.frequency, "instruction": info.instruction},
+        "env_kwargs": {**info.setup, **meaning, "control_freq": info.frequency, "instruction": info.instruction},
     }
 
 
