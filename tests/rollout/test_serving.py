@@ -10,6 +10,7 @@ from rcs.rollout.serving import ServerProcess
 
 
 def test_servers_at_a_time_have_a_port_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr("rcs.rollout.serving._free_ports", lambda: iter(("1021", "1022")))  # as before any listens
     words = ["sleep", "60"]
     one = ServerProcess(words, tmp_path / "one.log")

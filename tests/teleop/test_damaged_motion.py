@@ -249,7 +249,7 @@ def test_answers_of_servos(kind: str, arm: ArmDescription, tmp_path: Path) -> No
     with bus_of(kind, COUNTS[kind]) as bus:
         # At 2048 of each servo the follower is at home.
         angles = 2048 * STEP if kind == "dynamixel" else np.array([0.0, 0.0, 0.0, 0.0, 0.5 * STEP])
-        at_home = {"offsets": tuple((home - angles).tolist()), "near": tuple(home.tolist())}
+        at_home: dict[str, Any] = {"offsets": tuple((home - angles).tolist()), "near": tuple(home.tolist())}
         device: Any
         if kind == "dynamixel":
             device = gello(saved(calibrated(bus.path, signs=(1,) * 7, **at_home), tmp_path))

@@ -248,7 +248,10 @@ class Turned(Agent):
         return {"joints": self.goal, "gripper": np.ones(1, np.float32)}
 
 
-def test_a_leader_follows_a_policy_and_takes_the_robot_over_without_a_leap(tmp_path: Path) -> None:
+def test_a_leader_follows_a_policy_and_takes_the_robot_over_without_a_leap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcs.teleop.operator.HELD_UP", 10.0)  # on a busy machine
     pressed: list[Any] = []
     home = np.array(FR3.home)
     with (
@@ -262,6 +265,7 @@ def test_a_leader_follows_a_policy_and_takes_the_robot_over_without_a_leap(tmp_p
             "near": tuple(home.tolist()),
         }
         device = gello(saved(calibrated(bus.path, **at_home), tmp_path), torque=True)
+        foot.valid_for = device.valid_for = 2.0  # on a busy machine
         operator = Operator(env, WithButtons(device, foot, clutch=True), has_thread=False)
         agent = Takeover(env, Turned(), operator)
         observation, info = env.reset(seed=0)

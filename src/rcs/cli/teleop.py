@@ -53,7 +53,8 @@ class TeleopCommand(SetupOptions):
     hardware: str | None = None
     """Real devices: the JSON file of a site, or `driver:address` for all arms with their end effectors."""
     record: Path | None = None
-    """Folder of the dataset of takes; an existing one is continued. Nothing is recorded by default."""
+    """Folder of the dataset of takes; an existing one is continued, with a device that measures the same: poses,
+    velocities or joints. Nothing is recorded by default."""
     instruction: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[TEXT ...]")] = ()
     """Instructions of the takes, in turn; by default that of the task."""
     torque: bool = False

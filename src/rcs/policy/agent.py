@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from vlagents import Metadata, Policy
 
 NOTES = ("policy_latency", "policy_age", "policy_chunk", "policy_row", "policy_is_held", "policy_is_clipped")
-"""Notes that are recorded with every step: how long the newest answer took [s], how old the observation is that it
-answers [s], the number of the chunk in the episode and of its row, whether the robot was held, and whether the policy
+"""Notes that are recorded with every step: how late the newest answer was [s], which in simulation is
+`Execution.latency`; how old the observation is that it answers [s], the number of the chunk in the episode and of its row, whether the robot was held, and whether the policy
 wanted more than the environment takes."""
 
 LOST = "policy"

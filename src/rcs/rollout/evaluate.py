@@ -19,7 +19,7 @@ from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder
 from rcs.envs.setup import Setup
 from rcs.envs.step.stack import for_all
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.collection import Attempt, episode_id
 from rcs.rollout.episode import SIMULATOR, Answer, EpisodeResult, Judge, run_episode
 from rcs.rollout.evaluation import Evaluation, Summary
@@ -109,12 +109,23 @@ class Evaluator:
 
         Args:
             attempt: The episode.
-            write: Writes its row; if that raises an error, there is no recording either. None without a ledger.
+            write: Writes its row; there is no recording of an episode that it refuses. None without a ledger.
+
+        Raises:
+            RcsError: The row is refused: the policy was lost, or its weights changed.
+            DatasetError: The disk of the ledger fails; the recording is kept.
         """
         recorder, result = self._recorder, attempt.result
-        with nullcontext() if recorder is None else recorder.discard_on_error():
+        try:
             if write is not None:
                 write(attempt)
+        except BaseException as err:
+            if recorder is not None and recorder.is_recording:
+                if type(err) is RcsError:
+                    recorder.discard()
+                else:
+                    self._finish(recorder, attempt)
+            raise
         if recorder is None:
             return
         is_simulated = set(self._env.platform.values()) <= {"simulation"}
@@ -123,7 +134,11 @@ class Evaluator:
         elif attempt.is_lost and is_simulated:
             recorder.discard()
         else:
-            recorder.finish(result.success, {"attempt": attempt.number, **result.outcome()})
+            self._finish(recorder, attempt)
+
+    @staticmethod
+    def _finish(recorder: Recorder, attempt: Attempt) -> None:
+        recorder.finish(attempt.result.success, {"attempt": attempt.number, **attempt.result.outcome()})
 
     def close(self) -> None:
         """Close agent, film and environment, whatever fails."""

@@ -66,12 +66,18 @@ class ForeignSimulator:
         """Check the options.
 
         Raises:
-            InvalidSetup: The simulator runs already, so that nobody would read its options or its Python.
+            InvalidSetup: The simulator runs already, so that nobody would read its options or its Python; or it is
+                started here, so that there is no certificate.
         """
         if self.is_address and (self.options or self.python is not None):
             raise InvalidSetup(
                 f"The simulator at {self.name} runs already. Give its options to `vlagents simulate`, and leave out "
                 "simulator_options and simulator_python."
+            )
+        if self.certificate is not None and not self.is_address:
+            raise InvalidSetup(
+                f"The simulator {self.name!r} is started here, without TLS; leave out simulator_certificate, which is "
+                "for one at vlas://."
             )
 
     @property

@@ -24,6 +24,8 @@ T = TypeVar("T")
 
 PATIENCE = 180.0
 """How long a server may take until it answers [s]: large weights are read from a slow disk."""
+PORTS = range(20_000, 32_768)
+"""Ports of servers, below those that the system chooses by itself: the first free one, so that few locks are needed."""
 _PAUSE, _GRACE = 0.2, 10.0
 _TOLD = 15
 """Lines of a server's output that are shown when it fails."""
@@ -161,8 +163,10 @@ def serving(command: str, checkpoint: Path, log: Path, *, patience: float = PATI
 
 def _free_ports() -> Iterator[str]:
     """Yield ports at which nothing listens now: of several servers at a time, each takes some seconds until it does."""
-    while True:
+    for port in PORTS:
         with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = str(probe.getsockname()[1])
-        yield port
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+        yield str(port)

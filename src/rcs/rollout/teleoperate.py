@@ -73,7 +73,10 @@ class Teleoperation:
         self._pace, self._report = Pace(env, agent), report
         self._ended: float | None = None
         self._told: str | None = None
-        self._refusal, self._refused_at = "", -math.inf
+        self._refused: dict[str, float] = {}
+        """When each refusal was last made."""
+        self._verdict: bool | None = None
+        """Verdict of the take that is being written."""
 
     @property
     def is_simulated(self) -> bool:
@@ -166,9 +169,9 @@ class Teleoperation:
     def _tell_refusal(self, why: str, now: float) -> None:
         """Report why a gate lets nothing through, once as long as it refuses for the same reason."""
         words = without_figures(why)
-        if words != self._refusal or now - self._refused_at > AGAIN:
+        if now - self._refused.get(words, -math.inf) > AGAIN:
             self._report(f"Refused: {why}")
-        self._refusal, self._refused_at = words, now
+        self._refused[words] = now
 
     def _begin_anew(self) -> None:
         """Clear faults and begin the next episode; while they stay it is over, and a person may ask again."""
@@ -196,14 +199,16 @@ class Teleoperation:
             self._end(takes, VERDICTS[event] if event in VERDICTS else verdict_of(self.info))
 
     def _keep_take(self) -> None:
-        """Keep a take under way without a verdict."""
+        """Keep a take under way; it has no verdict unless Ctrl-C interrupted its end."""
         if self.takes is not None and self.takes.is_recording:
             self.env.hold()  # writing takes longer than a period
-            self._report(self.takes.finish(None))
+            self._report(self.takes.finish(self._verdict))
 
     def _end(self, takes: Takes, success: bool | None, *, is_kept: bool = True) -> None:
         self.env.hold()  # writing takes longer than a period
+        self._verdict = success
         self._report(takes.finish(success) if is_kept else takes.discard())
+        self._verdict = None
         if self.is_simulated:
             self.begin(None if is_kept else self.seed)
         elif self.is_over:
@@ -232,4 +237,4 @@ def go_on_from_hold(pace: Pace | None, observation: Observation, info: Mapping[s
 
 def without_figures(words: str) -> str:
     """Return words without their figures, which change all the time, to see whether they say anything new."""
-    return re.sub(r"[-+]?[0-9.]+", "", words)
+    return re.sub(r"(?<![A-Za-z_\d])[-+]?[\d.]+", "", words)
