@@ -89,6 +89,7 @@ struct StreamedArm::Loop {
 
   // Have the thread do something and wait for it; what the vendor throws is thrown here.
   void ask(Request what) {
+    if (is_answering) throw DeviceFault(arm.name() + ": " + silent_text());  // the last question, which timed out
     failure = nullptr;
     request = what;
     for (double waited = 0.0; request != Request::none; waited = std::max(waited, silence())) {
@@ -261,6 +262,7 @@ struct StreamedArm::Loop {
   void answer() {
     const Request what = request;
     if (what == Request::none) return;
+    is_answering = true;
     if (what == Request::clear) end_guiding();  // the hold that ended it comes with the fault
     try {
       take_time(kStarting, [&] {
@@ -286,6 +288,7 @@ struct StreamedArm::Loop {
           take_time(kStarting, [&] { arm.set_fault("guide failed" + text); });
       }
     }
+    is_answering = false;
     request = Request::none;
   }
 
@@ -418,6 +421,7 @@ struct StreamedArm::Loop {
   std::atomic<bool> is_abandoned = false;  // another thread stopped it because it did not answer
   RealTime real_time;
   std::atomic<Request> request = Request::none;
+  std::atomic<bool> is_answering = false;
   std::exception_ptr failure;  // of the request
 
   std::thread thread;

@@ -90,8 +90,8 @@ void arms_whose_times_end_together_are_held_together() {
   first.holding = second.holding = &holding;  // each holds only when the other has begun to
   first.open();
   second.open();
-  first.command_joints(kTwo, 0.05);
-  second.command_joints(kTwo, 0.05);
+  first.command_joints(kTwo, 0.3);
+  second.command_joints(kTwo, 0.3);
   CHECK(TestArm::comes([&] { return first.holds >= 1 && second.holds >= 1; }));
 }
 

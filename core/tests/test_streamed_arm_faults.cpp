@@ -119,12 +119,12 @@ void a_call_that_does_not_return_is_a_fault_and_does_not_keep_the_arm_from_being
 void a_stop_that_does_not_return_is_a_fault() {
   rcs::StreamOptions options;
   options.missed_ticks = 10000;
-  options.silence = 0.1;
   Servo arm(options);
   arm.open();
   arm.command_joints(arm.state().joints);
   await([&] { return arm.ticks() > 2; });
-  arm.hangs_in_stop = arm.refuses = true;
+  arm.hangs_in_stop = true;
+  arm.refuses = true;
   await([&] { return has(message_of([&] { arm.state(); }), "the controller has not answered for"); });
   CHECK(!arm.fault().empty());
   arm.hangs_in_stop = false;

@@ -88,7 +88,7 @@ def test_another_thread_has_an_arm_hold_that_parks() -> None:
             holding.join()
 
     arm.on_command = hold_once
-    with pytest.raises(Refused, match="told to hold on their way"):
+    with pytest.raises(Refused, match="while the arms were on their way; they stay where they are"):
         env.close()
     assert not arm.is_open
     assert len(arm.sent) == 8

@@ -50,7 +50,7 @@ def test_a_host_whose_program_ended_before_it_served_ends() -> None:
     with subprocess.Popen([sys.executable, "-c", ""]) as ended:
         ended.wait()
     words = [sys.executable, "-P", "-m", "rcs.hardware.host", "fake", "orphan", "", str(ended.pid)]
-    assert subprocess.run(words, timeout=SOON, check=False).returncode == 0
+    assert subprocess.run(words, timeout=60.0, check=False).returncode == 0
 
 
 def test_an_arm_holds_when_its_program_stands_still(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_a_host_of_another_version_is_refused() -> None:
 
         greeting = threading.Thread(target=greet)
         greeting.start()
-        with pytest.raises(DeviceFault, match=rf"process {os.getpid()}\) runs another version of rcs; end `rcs host`"):
+        with pytest.raises(DeviceFault, match=rf"process {os.getpid()}\) runs another version of the device interf"):
             hosted.call(path)
         greeting.join()
     path.unlink()

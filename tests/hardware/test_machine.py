@@ -58,6 +58,6 @@ class RawSocket:
 
 @pytest.mark.parametrize(("other", "answers"), [(0, 3), (1, 0)])
 def test_the_answer_to_another_program_is_none(monkeypatch: pytest.MonkeyPatch, other: int, answers: int) -> None:
-    monkeypatch.setattr(machine, "LONGEST_ANSWER", 0.05)
+    monkeypatch.setattr(machine, "LONGEST_ANSWER", 0.5)
     monkeypatch.setattr(machine, "_echo_socket", lambda: RawSocket(os.getpid() + other))
     assert len(machine.ping("192.0.2.1", 3, 1000.0)) == answers

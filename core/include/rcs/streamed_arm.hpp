@@ -67,8 +67,8 @@ struct Clamped {
 /// return is a fault, too: `read` and `write` after `silence`, `stop` after 8 times, the others after 60 times as long.
 ///
 /// Threads: all these functions of the vendor run on the arm's thread, but for `connect` and `disconnect`, which run
-/// before it starts and after it ends; and for `stop`, which may run on another thread beside a `read` or `write` that
-/// does not return. `command_joints` and `state` never wait for the arm's thread, nor it for them.
+/// before it starts and after it ends; and for `stop`, which may run on another thread beside one of them that does not
+/// return. `command_joints` and `state` never wait for the arm's thread, nor it for them.
 ///
 /// An arm that names `more_commands` takes them where it stands, and gives them to its controller as they are: these
 /// limits do not count for them. Another kind of command than the last one is refused while the arm moves.

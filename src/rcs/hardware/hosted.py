@@ -215,8 +215,8 @@ def call(path: Path) -> socket.socket | None:
     connection.close()
     if greeting:
         raise DeviceFault(
-            f"The host at {path} (process {process}) runs another version of rcs; end `rcs host`, or the program that "
-            "started it, and start it anew."
+            f"The host at {path} (process {process}) runs another version of the device interfaces; end `rcs host`, or "
+            "the program that started it, and start it anew."
         )
     return None
 

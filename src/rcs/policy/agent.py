@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 NOTES = ("policy_latency", "policy_age", "policy_chunk", "policy_row", "policy_is_held", "policy_is_clipped")
 """Notes that are recorded with every step: how late the newest answer was [s], which in simulation is
-`Execution.latency`; how old the observation is that it answers [s], the number of the chunk in the episode and of its row, whether the robot was held, and whether the policy
-wanted more than the environment takes."""
+`Execution.latency`; how old the observation is that it answers [s]; the number of the chunk in the episode and of its
+row; whether the robot was held; and whether the policy wanted more than the environment takes."""
 
 LOST = "policy"
 """The class of a failure in which the policy, or the connection to it, failed."""

@@ -15,6 +15,7 @@ import sys
 import time
 import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from mmap import mmap
 from typing import Any
 
@@ -180,7 +181,8 @@ class VirtualSensors:
     def close(self) -> None:
         """End the process; closing twice is harmless."""
         if self._process.stdin is not None and not self._process.stdin.closed:
-            self._process.stdin.close()
+            with suppress(OSError):  # words that were left when it was killed
+                self._process.stdin.close()
             try:
                 self._process.wait(END)
             except subprocess.TimeoutExpired:
