@@ -341,7 +341,7 @@ def test_a_host_whose_process_is_unknown_is_not_killed(tmp_path: Path, monkeypat
         with pytest.raises(DeviceFault, match="did not end within"):
             arm.open()
     finally:
-        for host in hosts:
+        for host in filter(None, hosts):
             kill(host, signal.SIGKILL)
     assert killed == []
 

@@ -211,14 +211,13 @@ def call(path: Path) -> socket.socket | None:
         pass
     if greeting == GREETING:
         return connection
-    process = peer(connection)
-    connection.close()
-    if greeting:
+    with connection:
+        if not greeting:
+            return None
         raise DeviceFault(
-            f"The host at {path} (process {process}) runs another version of the device interfaces; end `rcs host`, or "
-            "the program that started it, and start it anew."
+            f"The host at {path} (process {peer(connection)}) runs another version of the device interfaces; end "
+            "`rcs host`, or the program that started it, and start it anew."
         )
-    return None
 
 
 def peer(connection: socket.socket) -> int:
