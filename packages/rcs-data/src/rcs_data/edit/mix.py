@@ -22,6 +22,10 @@ from rcs_data.options import Natural, Positive, Record, Whole, converted, requir
 from rcs_data.read.reader import Dataset, EpisodeRecord
 
 
+def _path(given: str | Path) -> Path:
+    return Path(given) if isinstance(given, str) else given
+
+
 class Part(Record):
     """The part that a mix takes from one dataset.
 
@@ -29,7 +33,7 @@ class Part(Record):
         InvalidSetup: A field does not make sense, or both a number and a share are given.
     """
 
-    path: Path = converted(converter=lambda given: Path(given) if isinstance(given, str) else given)
+    path: Path = converted(converter=_path)
     """Folder of the dataset."""
     episodes: Natural | None = None
     """Number of episodes, drawn by the seed; None for all, or for the share."""
