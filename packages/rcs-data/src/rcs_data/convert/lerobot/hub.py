@@ -76,10 +76,10 @@ def pull(
     known = kept.read_text("utf-8") if kept.is_file() else "another source"
     if known != repo and is_lerobot(root):
         raise DatasetError(f"{root} has a LeRobot dataset of {known}; choose another folder for {repo}.")
-    if known != repo:
-        with _hub_errors(f"pull {repo}"):
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            kept.write_text(repo, "utf-8")
+    with _hub_errors(f"pull {repo}"):
+        hub.HfApi().repo_info(repo, repo_type="dataset", revision=revision)  # else a folder is returned as it is
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(repo, "utf-8")
     download(["meta/*"])
     if not is_lerobot(root):
         raise DatasetError(f"{repo} has no meta/info.json, so it is not a LeRobot dataset.")
