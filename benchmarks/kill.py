@@ -73,14 +73,8 @@ class Options:
     """Random seed of the times."""
     cameras: bool = False
     """Record two cameras."""
-    child: str = ""
-    """Used by the program itself: collect into this folder and count rows."""
-    editor: str = ""
-    """Used by the program itself: edit the dataset in this folder."""
-    converter: str = ""
-    """Used by the program itself: convert the dataset in this folder."""
-    puller: str = ""
-    """Used by the program itself: pull into this folder."""
+    child: tuple[str, str] | None = None
+    """Used by the program itself: the kind of work to do without end, and its folder."""
 
 
 @dataclass
@@ -186,14 +180,11 @@ def pull_without_end(folder: Path) -> None:
 def main(options: Options) -> None:
     """Kill, look, print."""
     setup = Setup(cameras=("wrist", "side") if options.cameras else ())
-    if options.child:
-        collect_and_count(Path(options.child), setup)
+    if options.child is not None:
+        work, folder = options.child
+        works = {"edit": edit_without_end, "convert": convert_without_end, "pull": pull_without_end}
+        works.get(work, lambda path: collect_and_count(path, setup))(Path(folder))
         return
-    works = {edit_without_end: options.editor, convert_without_end: options.converter, pull_without_end: options.puller}
-    for work, folder in works.items():
-        if folder:
-            work(Path(folder))
-            return
     if importlib.util.find_spec("huggingface_hub") is None:
         raise SystemExit("The kills of pulls need huggingface_hub: pip install 'rcs-data[hub]'.")
     totals = Totals()
@@ -280,7 +271,7 @@ def kill_recording(folder: Path, rng: random.Random, has_cameras: bool, is_count
     counter.write_bytes(COUNTER.pack(-1, 0))
     cameras = ["wrist", "side"] if has_cameras else ["none"]
     if is_counted:
-        command = [sys.executable, __file__, "--child", str(folder), *(["--cameras"] if has_cameras else [])]
+        command = [sys.executable, __file__, "--child", "record", str(folder), *(["--cameras"] if has_cameras else [])]
     else:
         arguments = ["collect", "PickCuboid", "--episodes", "10000", "--workers", "2", "--out", str(folder)]
         command = [sys.executable, "-c", "from rcs.cli.main import main; main()", *arguments, "--cameras", *cameras]
@@ -312,7 +303,7 @@ def kill_recording(folder: Path, rng: random.Random, has_cameras: bool, is_count
 def kill_conversions(folder: Path, source: Path, rng: random.Random, totals: Totals) -> bool:
     """Kill a program that converts; return whether the source is as it was, and every result whole or not there."""
     shutil.copytree(source, folder)
-    command = [sys.executable, __file__, "--converter", str(folder)]
+    command = [sys.executable, __file__, "--child", "convert", str(folder)]
     kill_after(command, folder.with_suffix(".ready").exists, rng.uniform(0.0, 1.0))
     imported = folder.with_suffix(".imported")
     is_ok = check(folder).is_ok
@@ -344,7 +335,7 @@ def serve_export(source: Path) -> dict[str, bytes]:
 
 def kill_pulls(folder: Path, pushed: dict[str, bytes], rng: random.Random) -> bool:
     """Kill a program that pulls; return whether each file is whole or not there, and another pull gets the rest."""
-    command = [sys.executable, __file__, "--puller", str(folder)]
+    command = [sys.executable, __file__, "--child", "pull", str(folder)]
     kill_after(command, folder.with_suffix(".ready").exists, rng.uniform(0.0, 0.5))
     is_whole = all((folder / name).read_bytes() == data for name, data in pushed.items() if (folder / name).exists())
     pull(REPO, folder)
@@ -377,7 +368,7 @@ def kill_edits(folder: Path, source: Path, rng: random.Random, totals: Totals) -
     shutil.copytree(source, folder)
     recorded = Dataset.open(source)
     ids = [episode.id for episode in recorded.episodes]
-    command = [sys.executable, __file__, "--editor", str(folder)]
+    command = [sys.executable, __file__, "--child", "edit", str(folder)]
     kill_after(command, folder.with_suffix(".ready").exists, rng.uniform(0.0, 0.5))
     after = Dataset.open(folder)
     found = [(episode.id, episode.length) for episode in after.episodes]
