@@ -44,6 +44,20 @@ def state(path: Path) -> tuple[str, DatasetInfo, list[str]]:
     return dataset.digest(), dataset.info, [episode.instruction for episode in dataset]
 
 
+def attempt(name: str, path: Path, before: object) -> bool:
+    """Return whether an edit was done; one that a full disk refuses has changed nothing."""
+    try:
+        EDITS[name](path)
+    except DatasetError as err:
+        error = str(err)
+    else:
+        return True
+    assert "No space left" in error
+    assert [*path.parent.iterdir()] == [path]
+    assert state(path) == before
+    return False
+
+
 @pytest.mark.parametrize("name", EDITS)
 def test_an_edit_that_a_full_disk_stops_at_any_write_has_changed_nothing(
     tmp_path: Path, make_dataset: MakeDataset, monkeypatch: pytest.MonkeyPatch, name: str
@@ -55,15 +69,8 @@ def test_an_edit_that_a_full_disk_stops_at_any_write_has_changed_nothing(
         disk = tmp_path / str(writes)
         path = shutil.copytree(source, disk / "set")
         with monkeypatch.context() as patch:
-            refused, error = simulate(disk, patch, writes), ""
-            try:
-                EDITS[name](path)
-            except DatasetError as err:
-                error = str(err)
-            if error:
-                assert "No space left" in error
-                assert [*disk.iterdir()] == [path]
-                assert state(path) == before
+            refused = simulate(disk, patch, writes)
+            attempt(name, path, before)
             seen.append(str(state(path)))
             edit.prune(path)
         assert str(state(path)) == seen[-1], "pruning, on the full disk, changes nothing"
@@ -86,18 +93,10 @@ def test_an_edit_on_a_disk_that_is_full_but_for_some_pages_is_done_or_has_change
             disk = tmp_path / "disk" / str(pages)
             path, filler = shutil.copytree(source, disk / "set"), tmp_path / "disk/filler"
             fill(filler, pages * mmap.PAGESIZE)
-            error = ""
-            try:
-                EDITS[name](path)
-            except DatasetError as err:
-                error = str(err)
-            if error:
-                assert "No space left" in error
-                assert [*disk.iterdir()] == [path]
-                assert state(path) == before
+            is_done = attempt(name, path, before)
             edit.prune(path)
             assert all(check(made).is_ok for made in disk.iterdir()), f"{pages} pages were left"
-            if not error:
+            if is_done:
                 return
             filler.unlink()
             shutil.rmtree(disk)
