@@ -131,17 +131,13 @@ class PickTeacher(Agent):
         goal[..., 2] = cuboid[..., 2] + keeps
         # A half turn about x points the tool down: Rz(yaw) Rx(pi).
         goal[..., 3], goal[..., 4] = np.cos(yaw / 2), np.sin(yaw / 2)
-        return self._go_on(observation, start, goal, is_there & is_grasped, ~is_there)
+        return self._go_on(observation, start, (goal, ~is_there), is_there & is_grasped)
 
     def _go_on(
-        self,
-        observation: Observation,
-        start: NDArray[np.float64],
-        goal: NDArray[np.float64],
-        is_held: NDArray[np.bool_],
-        opens: NDArray[np.bool_],
+        self, observation: Observation, start: NDArray[np.float64], grasp: Goal, is_held: NDArray[np.bool_]
     ) -> Goal:
-        """Return the goal, with what to do where the cuboid is held: here, lift it."""
+        """Return the goal of grasping, changed where the cuboid is held: here, to lift it."""
+        goal, opens = grasp
         goal[..., :2] = np.where(is_held[..., None], start[..., :2], goal[..., :2])
         goal[..., 2] = np.where(is_held, self._lifted, goal[..., 2])
         return goal, opens
@@ -206,14 +202,10 @@ class PlaceTeacher(PickTeacher):
     task = Place
 
     def _go_on(
-        self,
-        observation: Observation,
-        start: NDArray[np.float64],
-        goal: NDArray[np.float64],
-        is_held: NDArray[np.bool_],
-        opens: NDArray[np.bool_],
+        self, observation: Observation, start: NDArray[np.float64], grasp: Goal, is_held: NDArray[np.bool_]
     ) -> Goal:
-        """Return the goal, with what to do where the cuboid is held, and where it lies on its mark."""
+        """Return the goal of grasping, changed where the cuboid is held, and where it lies on its mark."""
+        goal, opens = grasp
         cuboid, mark = (observation[PRIVILEGED][name][TQUAT] for name in (CUBOID, MARK))
         way = mark[..., :3] - cuboid[..., :3]
         aside, above = np.hypot(way[..., 0], way[..., 1]), -0.5 * self._edges[2] - way[..., 2]

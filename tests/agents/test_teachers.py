@@ -1,4 +1,4 @@
-"""The teacher remembers nothing, and picks the cuboid from wherever the arm was brought."""
+"""Teachers remember nothing, and do their task from wherever the arm was brought."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.agents import PickTeacher
+from rcs.agents import PickTeacher, PlaceTeacher
 from rcs.agents.grasp import closing_yaw
 from rcs.envs.setup import Setup
 from rcs.envs.vector import VecEnv
@@ -17,7 +17,7 @@ from rcs.errors import InvalidSetup
 from rcs.spatial import compose, tquat_to_matrix
 from rcs.tasks.pick_cuboid import POSES, SIZE
 
-SETUP = Setup(
+PICK = Setup(
     task="PickCuboid",
     frequency=10.0,
     max_episode_steps=100,
@@ -25,6 +25,7 @@ SETUP = Setup(
     layers=("ObserveTarget",),
     collision_reaction=False,
 )
+PLACE = replace(PICK, task="Place", max_episode_steps=120)
 
 
 def row(observation: Any, copy: int) -> Any:
@@ -33,7 +34,7 @@ def row(observation: Any, copy: int) -> Any:
     return observation[copy]
 
 
-def succeed(envs: VecEnv, teacher: PickTeacher, observation: Any, steps: int = 90) -> np.ndarray:
+def succeed(envs: VecEnv, teacher: PickTeacher, observation: Any, steps: int) -> np.ndarray:
     done = np.zeros(envs.num_envs, bool)
     for _ in range(steps):
         observation, _, terminated, truncated, _ = envs.step(teacher.act(observation, {}))
@@ -45,14 +46,15 @@ def succeed(envs: VecEnv, teacher: PickTeacher, observation: Any, steps: int = 9
     return done
 
 
-def test_it_picks_the_cuboid_in_every_copy() -> None:
-    envs = rcs.make_vec(SETUP, copies=8, autoreset="Disabled")
+@pytest.mark.parametrize(("setup", "kind", "steps"), [(PICK, PickTeacher, 60), (PLACE, PlaceTeacher, 70)])
+def test_it_succeeds_in_every_copy(setup: Setup, kind: type[PickTeacher], steps: int) -> None:
+    envs = rcs.make_vec(setup, copies=8, autoreset="Disabled")
     observation, _ = envs.reset(seed=0)
-    assert succeed(envs, PickTeacher(envs), observation, 60).all()
+    assert succeed(envs, kind(envs), observation, steps).all()
 
 
 def test_it_picks_the_cuboid_after_somebody_else_acted() -> None:
-    envs = rcs.make_vec(SETUP, copies=8, autoreset="Disabled")
+    envs = rcs.make_vec(PICK, copies=8, autoreset="Disabled")
     teacher, rng = PickTeacher(envs), np.random.default_rng(0)
     observation, _ = envs.reset(seed=20)
     for _ in range(18):  # to the cuboid, with the gripper closing and opening on the way
@@ -67,11 +69,29 @@ def test_it_picks_the_cuboid_after_somebody_else_acted() -> None:
     assert succeed(envs, teacher, observation, 80).sum() >= 7  # one may have been thrown off the table
 
 
-def test_an_action_follows_from_the_observation_alone_and_is_that_of_one_copy() -> None:
-    envs, env = rcs.make_vec(SETUP, copies=4, autoreset="Disabled"), rcs.make(SETUP)
-    teacher, alone = PickTeacher(envs), PickTeacher(env)
+def test_it_sets_the_cuboid_down_after_somebody_else_acted() -> None:
+    envs = rcs.make_vec(PLACE, copies=8, autoreset="Disabled")
+    teacher, rng = PlaceTeacher(envs), np.random.default_rng(0)
+    observation, _ = envs.reset(seed=20)
+    space: Any = envs.single_action_space
+    bound = space["joints"].high
+    for step in range(22):  # to the cuboid and up, dropped now and then, but not onto the mark
+        action = teacher.act(observation, {})
+        action["joints"] = np.clip(action["joints"] + rng.normal(0.0, 0.01, (8, 7)), -bound, bound)
+        action["gripper"] = np.where(step % 5 == 4, 1.0 - action["gripper"], action["gripper"])
+        observation, _, _, truncated, _ = envs.step(action)
+        assert not truncated.any()
+    assert succeed(envs, teacher, observation, 90).sum() >= 7  # one may have been thrown off the table
+
+
+@pytest.mark.parametrize(("setup", "kind", "steps"), [(PICK, PickTeacher, 20), (PLACE, PlaceTeacher, 30)])
+def test_an_action_follows_from_the_observation_alone_and_is_that_of_one_copy(
+    setup: Setup, kind: type[PickTeacher], steps: int
+) -> None:
+    envs, env = rcs.make_vec(setup, copies=4, autoreset="Disabled"), rcs.make(setup)
+    teacher, alone = kind(envs), kind(env)
     observation, _ = envs.reset(seed=3)
-    for _ in range(20):
+    for _ in range(steps):
         action = teacher.act(observation, {})
         for copy in range(4):
             own = alone.act(row(observation, copy), {})
@@ -92,9 +112,14 @@ def test_an_action_follows_from_the_observation_alone_and_is_that_of_one_copy() 
     ],
 )
 def test_another_setup_is_refused(options: dict[str, Any], message: str) -> None:
-    env = rcs.make(replace(SETUP, **options))
+    env = rcs.make(replace(PICK, **options))
     with pytest.raises(InvalidSetup, match=message):
         PickTeacher(env)
+
+
+def test_another_task_than_place_is_refused() -> None:
+    with pytest.raises(InvalidSetup, match="PlaceTeacher is for Place"):
+        PlaceTeacher(rcs.make(PICK))
 
 
 @pytest.mark.parametrize("lying", list(POSES.values()), ids=list(POSES))
