@@ -22,7 +22,8 @@ MARGIN = 0.9
 class ActionWriter:
     """Writes actions for one environment: joints, poses or twists, absolute or relative, according to its setup.
 
-    Under the layer `KeepTilt`, which tilts the tool itself, it writes the rest of a pose.
+    Under the layer `KeepTilt`, which tilts the tool itself, it writes the rest of a pose; without an end effector, no
+    opening.
 
     Relative actions count from the target actually reached, or from the origin, which `follow` takes from the step's
     info, since a layer may have limited the one and a hold have moved the other.
@@ -44,6 +45,7 @@ class ActionWriter:
         box = action_space[self._name]
         assert isinstance(box, spaces.Box)
         self._setup = setup
+        self._has_opening = GRIPPER in action_space.spaces
         self._key = JOINTS if setup.control == JOINTS else TQUAT
         self._bound: NDArray[np.float64] = box.high.astype(np.float64)
         self._kinematics = kinematics
@@ -108,7 +110,7 @@ class ActionWriter:
         return self._with_gripper(joints, opening)
 
     def _with_gripper(self, arm: NDArray[np.float64], opening: float) -> Action:
-        return {self._name: arm, GRIPPER: np.array([opening], np.float32)}
+        return {self._name: arm} | ({GRIPPER: np.array([opening], np.float32)} if self._has_opening else {})
 
     def _pose_action(self, tcp: NDArray[np.float64]) -> NDArray[np.float64]:
         action = tcp

@@ -128,7 +128,8 @@ def policy_at(given: Any) -> Any:
     """Return the policy, a factory of agents, that an agent's path or address stands for; None for another agent."""
     if is_path(given):
         return lookup.find("agent", _TRAINED)(str(given))
-    return lookup.find("agent", _SERVED)(address=given) if is_address(given) else None
+    is_address = isinstance(given, str) and "://" in given
+    return lookup.find("agent", _SERVED)(address=given) if is_address else None
 
 
 def is_path(given: Any) -> bool:
@@ -141,8 +142,3 @@ def is_path(given: Any) -> bool:
     if not isinstance(given, str) or ":" in given:
         return False
     return os.sep in given or (Path(given).is_dir() and given not in (*lookup.names("task"), *lookup.names("agent")))
-
-
-def is_address(given: Any) -> bool:
-    """Return whether an agent is given as the address of a policy, not by name."""
-    return isinstance(given, str) and "://" in given

@@ -73,9 +73,8 @@ class LiftExpert(Script):
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan a grasp across the bar's x axis, its short side; the first arm takes the end at larger y."""
         offset = float(self.info["grasp_offset"]) * (1.0 if arm is self.arms[0] else -1.0)
-        base = arm.robot.base_in_scene
         end_in_scene = Pose.from_tquat(self.info["bar_in_scene"]) * Pose((0.0, offset, 0.0))
-        end = Pose(base.translation, base.quaternion).inverse() * end_in_scene
+        end = arm.robot.base_in_scene.pose.inverse() * end_in_scene
         return plan_from_above(arm, end, across(end.matrix[:3, 0]))
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rcs.agents.action_writer import ActionWriter
 from rcs.envs.env import Env
 from rcs.envs.spaces import GRIPPER, JOINT_VELOCITIES, JOINTS, TQUAT, XYZYAW, Action, Observation
+from rcs.envs.start import base_in_scene
 from rcs.errors import InvalidSetup
 from rcs.kinematics import Kinematics, kinematics_of
 from rcs.sim.scene import RobotPlacement
@@ -80,8 +81,7 @@ class Guide:
         assert box is not None, "a robot has an arm"
         self.lower, self.upper = box.low.astype(np.float64), box.high.astype(np.float64)
         """Limits of the joints [rad], (dof,)."""
-        base = robot.base_in_scene
-        self._base = np.array([*base.translation, *base.quaternion])
+        self._base = base_in_scene([robot])
         self.has_opening = robot.end_effector is not None
         """True if there is a gripper or a hand to open and close."""
         effector = robot.end_effector
@@ -218,7 +218,7 @@ class Guide:
             # All joints are scaled alike, so that they move in a straight line and arrive together.
             step = self.joint_pace * self._joint_step
             self._joints = self._joints + way / max(1.0, float((np.abs(way) / step).max()))
-            return self._only_own_keys(self._writer.write_joints(self._joints, self.opening))
+            return self._writer.write_joints(self._joints, self.opening)
         target = self._next_target()
         place = self._measured[TQUAT][:3]
         ahead = target[:3] - place
@@ -227,9 +227,9 @@ class Guide:
         status = info.get("ik_status" if self._key is None else f"{self._key}/ik_status", 0)
         self.is_out_of_reach = action is None or int(status) != 0 or self._is_stuck(place)
         if action is None:
-            return self._only_own_keys(self._writer.write_joints(self._writer.joints, self.opening))
+            return self._writer.write_joints(self._writer.joints, self.opening)
         self._target = target
-        return self._only_own_keys(action)
+        return action
 
     def _next_target(self) -> NDArray[np.float64]:
         """Return the next target on the way to the goal, at speeds from which it stops there."""
@@ -274,9 +274,6 @@ class Guide:
 
     def _goal_of(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.array(self.kinematics.forward(joints).tquat)
-
-    def _only_own_keys(self, action: Action) -> Action:
-        return action if self.has_opening else {key: value for key, value in action.items() if key != GRIPPER}
 
 
 def _from_rest(way: float, acceleration: float, period: float) -> float:

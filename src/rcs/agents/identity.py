@@ -93,11 +93,8 @@ def code_of(modules: Iterable[str]) -> dict[str, str]:
         modules: Names of modules. For one that has no file, such as a notebook, every hash is a new one, so that
             nothing is taken for made by the same code.
     """
-    return {_OWN: _own_code(), **{name: _hash(name) for name in sorted(set(modules)) if not _is_own(name)}}
-
-
-def _is_own(module: str) -> bool:
-    return module.partition(".")[0] == _OWN
+    others = sorted({name for name in modules if name.partition(".")[0] != _OWN})
+    return {_OWN: _own_code(), **{name: _hash(name) for name in others}}
 
 
 def _hash(module: str) -> str:

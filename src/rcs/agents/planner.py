@@ -69,13 +69,11 @@ class PickPlanner(PickExpert):
     phases = (replace(PickExpert.phases[0], until=has_come), *PickExpert.phases[1:])
     infeasible = "plan"
 
-    def __init__(self, env: Env, *, wander: float = WANDER, planner: str = "RRTConnect") -> None:
+    def __init__(self, env: Env) -> None:
         """Prepare for an environment.
 
         Args:
             env: A simulated environment with one robot, and the task PickCuboid.
-            wander: How far ways lead astray [rad]; 0 for the shortest that are found.
-            planner: Name of the planner.
 
         Raises:
             InvalidSetup: There are several robots.
@@ -84,14 +82,13 @@ class PickPlanner(PickExpert):
         if len(env.robots) != 1:
             raise InvalidSetup(f"PickPlanner moves one robot, there are {len(env.robots)}: {', '.join(env.robots)}.")
         super().__init__(env)
-        self._planner = planner_for(env, margin=MARGINS[0], planner=planner, time_limit=TIME_LIMIT, speed=SPEED)
+        self._planner = planner_for(env, margin=MARGINS[0], time_limit=TIME_LIMIT, speed=SPEED)
         # The cuboid touches the table when it is lifted.
         self._carrying = planner_for(env)
         self._carrying.checker.allow(CUBOID, TABLE)
         # Without a pull to other joints: the straight lines are checked for those that lead the TCP there directly.
         arm = self.arms[0]
         arm.writer = ActionWriter(env.setup, env.action_space, arm.kinematics)  # pyright: ignore[reportArgumentType]
-        self._wander = wander
         self.way: TimedPath
         """The way to the pre-grasp."""
 
@@ -142,8 +139,8 @@ class PickPlanner(PickExpert):
         """Return a way to the pre-grasp, by a random point if there is a free one."""
         seed = int(random.integers(2**31))
         checker = self._planner.checker
-        for _ in range(TRIES if self._wander else 0):
-            middle = 0.5 * (start + goal) + random.normal(0.0, self._wander, len(start))
+        for _ in range(TRIES):
+            middle = 0.5 * (start + goal) + random.normal(0.0, WANDER, len(start))
             middle = np.clip(middle, checker.joint_lower, checker.joint_upper)
             if checker.is_free(middle, self._planner.margin):
                 try:
