@@ -53,8 +53,10 @@ def test_a_policy_in_degrees_is_shown_degrees_and_gives_degrees(env: Env) -> Non
 def test_the_policy_is_told_instruction_seed_and_time() -> None:
     with rcs.make("PickCuboid", robot="fr3", relative=False) as env:
         policy = Swing()
-        rollout(env, ChunkAgent(env, policy, session="here"), 10, seed=7)
-        assert policy.resets == [("here", env.instruction, 7)]
+        rollout(env, ChunkAgent(env, policy), 10, seed=7)
+        ((session, *told),) = policy.resets
+        assert session.startswith("fr3 ")
+        assert told == [env.instruction, 7]
         assert policy.seen[0].instruction == env.instruction
         assert [seen.time for seen in policy.seen] == pytest.approx([0.0, 8 / 30], abs=0.002)
 

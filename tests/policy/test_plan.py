@@ -137,7 +137,8 @@ def test_a_blend_never_jumps(shift: float, loop: float) -> None:
     assert np.array_equal(values["blend"][0], values["old"][0])
     apart = np.abs(values["old"] - values["new"]).max()
     own = max(np.abs(np.diff(values[name], axis=0)).max() for name in ("old", "new"))
-    bound = own + Blend.STEEPEST * period / (until - since) * apart
+    steepest = (2 * math.e - 1) / (math.e - 1)  # the largest slope of the weight
+    bound = own + steepest * period / (until - since) * apart
     assert np.abs(np.diff(values["blend"], axis=0)).max() <= bound + 1e-9
 
 

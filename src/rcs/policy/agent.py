@@ -33,9 +33,6 @@ NOTES = ("policy_latency", "policy_age", "policy_chunk", "policy_row", "policy_i
 `Execution.latency`; how old the observation is that it answers [s]; the number of the chunk in the episode and of its
 row; whether the robot was held; and whether the policy wanted more than the environment takes."""
 
-LOST = "policy"
-"""The class of a failure in which the policy, or the connection to it, failed."""
-
 WAIT = 5.0
 """Longest wait for an unreachable policy at the beginning of an episode [s], by the clock."""
 STUCK = 60.0
@@ -56,13 +53,7 @@ class ChunkAgent(Agent):
     """
 
     def __init__(
-        self,
-        env: Env,
-        policy: Policy,
-        *,
-        execution: Execution | None = None,
-        instruction: str | None = None,
-        session: str | None = None,
+        self, env: Env, policy: Policy, *, execution: Execution | None = None, instruction: str | None = None
     ) -> None:
         """Prepare to act in an environment; the policy is not called yet.
 
@@ -71,7 +62,6 @@ class ChunkAgent(Agent):
             policy: A policy of vlagents: a client, or one in this process.
             execution: How its chunks are executed; None for the usual way.
             instruction: The instruction for the policy; None for the environment's.
-            session: The policy's session for this robot, if it serves several; None for a new one.
 
         Raises:
             InvalidSetup: Policy and environment do not fit; the message has all differences.
@@ -88,7 +78,7 @@ class ChunkAgent(Agent):
         """The execution of its chunks."""
         self._period = 1.0 / env.frequency
         self._given_instruction = instruction
-        self._session = session or f"{env.setup.robot_label} {next(_numbers)}"
+        self._session = f"{env.setup.robot_label} {next(_numbers)}"
         self._actions = PolicyActions(env, self.metadata)
         self._executor = Executor(execution, self._period, f"policy {self._session}" if env.is_real else None)
         self._instruction = ""
@@ -184,7 +174,7 @@ class ChunkAgent(Agent):
     @property
     def failure(self) -> str | None:
         """`policy` if the policy or its connection failed in this episode."""
-        return None if self._message is None else LOST
+        return None if self._message is None else "policy"
 
     @property
     def failure_message(self) -> str | None:

@@ -116,7 +116,7 @@ class Executor:
         """Delay of the newest answer, in the time of the loop [s]."""
         self.seconds = float("nan")
         """Time that the newest answer took by the wall clock [s], also where simulated time stood still."""
-        self._retry_at: float | None = None
+        self._retry_at = 0.0
         self.error, self.chunks = None, 0
 
     def fail(self, error: Exception, now: float) -> None:
@@ -161,9 +161,7 @@ class Executor:
 
     def _is_due(self, now: float) -> bool:
         if self.error is not None:
-            return (
-                self._execution.on_loss == "reconnect" and self._retry_at is not None and now >= self._retry_at - NEAR
-            )
+            return self._execution.on_loss == "reconnect" and now >= self._retry_at - NEAR
         return self._newest is None or self._execution.mode == "ensemble" or now >= self._due - NEAR
 
     def _start(self, now: float, question: Question) -> None:

@@ -214,9 +214,6 @@ class Blend(Plan):
     of the two plans and (2e - 1)/(e - 1) · period/(until - since) of how far they are apart: there is no jump.
     """
 
-    STEEPEST = (2 * math.e - 1) / (math.e - 1)
-    """Largest slope of the weight over c, at c = 1."""
-
     def __init__(self, old: Plan, new: Plan, since: float, until: float) -> None:
         """Blend two plans.
 
