@@ -62,7 +62,8 @@ class TimedEnvs(Sb3VecEnv):
 
 def main(options: Options) -> None:
     """Measure and print."""
-    recipe = recipe_for(options.task).on(options.robot)
+    recipe = recipe_for(options.task)
+    recipe = replace(recipe, setup=replace(recipe.setup, robot=options.robot))
     if options.frequency is not None:
         recipe = replace(recipe, setup=replace(recipe.setup, frequency=options.frequency))
     threads = options.threads or cpus()

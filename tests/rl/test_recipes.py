@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,15 +9,14 @@ import pytest
 import rcs
 from rcs.rl import Flat
 from rcs.rl.recipes import RECIPES, recipe_for
-from rcs.rl.training import Ppo, Training
+from rcs.rl.training import Ppo
 
 ROBOTS = {"fr3": None, "ur5e": None, "so101": None, "xarm7": "robotiq_2f85"}
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_recipe_moves_every_robot_by_translation_yaw_and_gripper(robot: str) -> None:
-    setup = recipe_for("PickCuboid").on(robot, ROBOTS[robot]).setup
-    env = rcs.make(setup)
+    env = rcs.make(replace(recipe_for("PickCuboid").setup, robot=robot, end_effector=ROBOTS[robot]))
     flat = Flat(env)
     observation, _ = env.reset(seed=0)
     assert flat.action_space.shape == (5,)
@@ -34,6 +34,5 @@ def test_the_recipe_moves_every_robot_by_translation_yaw_and_gripper(robot: str)
 def test_an_update_of_a_recipe_sees_whole_episodes(task: str, algorithm: Any) -> None:
     recipe = recipe_for(task, algorithm)
     assert recipe.setup.task == task
-    assert Training.from_json(recipe.to_json()) == recipe
     if isinstance(recipe.algorithm, Ppo):
         assert recipe.algorithm.n_steps == recipe.setup.max_episode_steps

@@ -97,7 +97,6 @@ def test_a_policy_that_sees_is_not_told_where_objects_are() -> None:
 
 def test_the_recipe_of_a_task_without_one_is_for_that_task() -> None:
     assert recipe_for("StackCuboid").setup == replace(recipe_for("PickCuboid").setup, task="StackCuboid")
-    assert recipe_for("PickCuboid").on("ur5e").setup.robot == "ur5e"
     assert isinstance(rcs.Setup(), type(recipe_for("PickCuboid").setup))
 
 

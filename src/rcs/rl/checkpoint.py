@@ -114,11 +114,6 @@ class Checkpoint(Record):
         """
         return [self._read(name) for name in sorted(self.files) if name.startswith(f"{REPLAY}/")]
 
-    @property
-    def can_be_resumed(self) -> bool:
-        """True while its state of the training is there."""
-        return (self.path / LEARNER).exists()
-
     def _read(self, name: str) -> dict[str, Any]:
         path = (self.path.parent.parent if name.startswith(f"{REPLAY}/") else self.path) / name
         try:
@@ -333,16 +328,13 @@ def remove_old(run: Path, *, keep_after: int | None = None) -> None:
     """
     folder = run / CHECKPOINTS
     with disk_errors("remove old checkpoints", folder):
-        for path in list(folder.iterdir()) if folder.is_dir() else []:
-            if path.name.startswith(_PARTIAL):
-                remove_tree(path)
-        places = checkpoints_of(run)
-        if keep_after is not None:
-            for place in (place for place in places if int(place.name) > keep_after):
+        for path in list(folder.glob(f"{_PARTIAL}*")):
+            remove_tree(path)
+        for place in checkpoints_of(run):
+            if keep_after is not None and int(place.name) > keep_after:
                 _drop(place)
-            places = [place for place in places if int(place.name) <= keep_after]
         needed: set[str] = set()
-        for number, place in enumerate(reversed(places)):
+        for number, place in enumerate(reversed(checkpoints_of(run))):
             try:
                 checkpoint = open_checkpoint(place)
             except (CorruptCheckpoint, InvalidSetup):

@@ -16,7 +16,7 @@ from rcs.envs.step.state import EnvState
 from rcs.envs.vector import VecEnv
 from rcs.extras import package_of
 from rcs.rl.flat import STATE, Flat
-from rcs.rl.learner import Learner, env_state_of
+from rcs.rl.learner import Learner
 from rcs.rl.networks import make_student
 from rcs.rl.training import Dagger, Training
 
@@ -174,7 +174,7 @@ class DaggerLearner(Learner):
             "random": self._rng.bit_generator.state,
             "is_taught": self._is_taught,
             "ends": list(self._ends),
-            "environment": env_state_of(self.envs),
+            "environment": vars(self.envs.get_state()),
         }
 
     def _load(self, weights: Mapping[str, Any], state: Mapping[str, Any]) -> None:

@@ -184,6 +184,7 @@ def layout_of_spaces(
         InvalidSetup: A space is not one of numbers, a key is unknown, or nothing is left.
     """
     actions, found = _boxes(action_space, "action"), _boxes(observation_space, "observation")
+    several = scales.robots if len(scales.robots) > 1 else {}
     frames = {key: box for key, box in found.items() if key.partition("/")[0] == names.FRAMES}
     state = _selected({key: box for key, box in found.items() if key not in frames}, keys)
     if unbounded := [key for key, box in actions.items() if not box.is_bounded()]:
@@ -192,17 +193,13 @@ def layout_of_spaces(
         action=tuple(_value(key, box, *bounds_of(box)) for key, box in actions.items()),
         state=tuple(_state_entries(state, scales)),
         images=tuple(_images(frames)),
-        bases={name: _base(robot) for name, robot in scales.robots.items()} if len(scales.robots) > 1 else {},
+        bases={name: tuple(base_in_scene([robot]).tolist()) for name, robot in several.items()},
     )
     if not layout.action:
         raise InvalidSetup("The environment takes no action that could be a vector.")
     if not layout.state and not layout.images:
         raise InvalidSetup(f"Nothing is left to observe; keys with numbers: {_names(found)}.")
     return layout
-
-
-def _base(robot: RobotPlacement) -> tuple[float, ...]:
-    return (*map(float, (*robot.base_in_scene.translation, *robot.base_in_scene.quaternion)),)
 
 
 def _boxes(space: spaces.Space[Any], what: str, prefix: str = "") -> dict[str, spaces.Box]:

@@ -6,7 +6,6 @@ import random
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -106,12 +105,6 @@ class Learner(ABC):
         return first, end, {name: rows[first:end] for name, rows in self.replay.items()}
 
 
-def env_state_of(envs: VecEnv) -> dict[str, Any]:
-    """Return the state of all copies, by the names of its fields."""
-    state = envs.get_state()
-    return {own.name: getattr(state, own.name) for own in fields(EnvState)}
-
-
 _FIRST_VALUES = 0.02
 """Factor on the weights of the first values: our choice; with it, PickCuboid reached the cuboid in half the steps."""
 _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
@@ -132,7 +125,6 @@ class Sb3Learner(Learner):
         """
         algorithm = training.algorithm
         assert isinstance(algorithm, Ppo), "others have learners of their own"
-        self._algorithm = algorithm
         vectors = Sb3VecEnv(envs, reward_scale=algorithm.reward_scale) if isinstance(envs, VecEnv) else envs
         self.training, self.envs, self.flat, self._vectors = training, vectors.envs, vectors.flat, vectors
         self.replay = {}
@@ -153,8 +145,7 @@ class Sb3Learner(Learner):
 
     def advance(self) -> None:
         """Make the steps of one update, and the update."""
-        steps = self._algorithm.n_steps * self.training.copies
-        self.model.learn(steps, reset_num_timesteps=False, log_interval=None)
+        self.model.learn(self.model.n_steps * self.training.copies, reset_num_timesteps=False, log_interval=None)
 
     def figures(self) -> dict[str, float]:
         """Return the figures of the updates since the last call, and of the last 100 episodes, by their SB3 names."""
@@ -187,8 +178,8 @@ class Sb3Learner(Learner):
                 "cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_available() else [],
                 "actions": model.action_space.np_random.bit_generator.state,
             },
-            "environment": env_state_of(self.envs),
-            "statistics": self._vectors.statistics(),
+            "environment": vars(self.envs.get_state()),
+            "statistics": {"returns": self._vectors.returns.copy(), "lengths": self._vectors.lengths.copy()},
         }
 
     def _load(self, weights: Mapping[str, Any], state: Mapping[str, Any]) -> None:
@@ -197,7 +188,8 @@ class Sb3Learner(Learner):
         for name in _COUNTERS:
             setattr(model, name, state["counters"][name])
         self.envs.set_state(EnvState(**state["environment"]))
-        self._vectors.set_statistics(state["statistics"])
+        counted = state["statistics"]
+        self._vectors.returns[:], self._vectors.lengths[:] = counted["returns"], counted["lengths"]
         self._resume(*(state[name] for name in ("observation", "starts", "episodes", "successes")))
         random.setstate(drawn["python"])
         np.random.set_state(drawn["numpy"])

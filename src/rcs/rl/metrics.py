@@ -68,15 +68,13 @@ class Metrics(Closing):
         Raises:
             DatasetError: The disk fails.
         """
-        self.rows = [row for row in read_metrics(run) if row.steps <= after]
-        """All rows, oldest first."""
-        path = run / METRICS
+        rows = [row for row in read_metrics(run) if row.steps <= after]
+        self._path = path = run / METRICS
         with disk_errors("write figures", path):
-            write_file(path, b"".join(row.line() for row in self.rows))
+            write_file(path, b"".join(row.line() for row in rows))
             self._file = os.open(path, os.O_WRONLY | os.O_APPEND)
-        self._path = path
 
-    def add(self, steps: int, seconds: float, figures: Mapping[str, float]) -> Row:
+    def add(self, steps: int, seconds: float, figures: Mapping[str, float]) -> None:
         """Add a row; figures that are not finite are left out.
 
         Raises:
@@ -84,10 +82,8 @@ class Metrics(Closing):
         """
         kept = {name: value for name, value in figures.items() if math.isfinite(value)}
         row = Row(steps=steps, seconds=round(seconds, 3), time=round(time.time(), 3), figures=kept)
-        self.rows.append(row)
         with disk_errors("write figures", self._path):
             write_all(self._file, row.line())
-        return row
 
     def sync(self) -> None:
         """Bring all rows to the disk, before a checkpoint that counts on them."""

@@ -13,8 +13,6 @@ from rcs.extras import package_of
 from rcs.rl.flat import STATE, Flat
 from rcs.rl.training import Algorithm, Dagger, Ppo
 
-FEATURES_PER_CAMERA = 256
-"""Numbers that the convolutions (Mnih et al. 2015) make of each frame; Stable-Baselines3's usual figure."""
 LEAST_SPREAD = 0.05
 """Least spread that numbers of flat vectors are divided by: what hardly varies in teaching is not blown up later."""
 _FEATURES = 64
@@ -69,8 +67,6 @@ def network_options(algorithm: Ppo, *, has_images: bool) -> dict[str, Any]:
     }
     if algorithm.near_and_far and not has_images:
         options["features_extractor_class"] = _near_and_far()
-    if has_images:
-        options["features_extractor_kwargs"] = {"cnn_output_dim": FEATURES_PER_CAMERA}
     return options
 
 

@@ -62,7 +62,6 @@ def _ppo(task: str, *, seconds: float, steps: int) -> Training:
     algorithm = Ppo(
         n_steps=round(seconds * RATE),
         batch_size=512,
-        n_epochs=8,
         learning_rate=5e-4,
         gae_lambda=0.9,
         vf_coef=0.1,

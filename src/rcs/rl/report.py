@@ -12,7 +12,6 @@ from rcs_data.read.verdicts import wilson_interval
 from rcs_data.view.charts import CHARTS_SCRIPT, Series, chart
 from rcs_data.view.html import Html, element, figure, film, header, page, script, table, web
 
-from rcs.errors import CorruptCheckpoint
 from rcs.rl.checkpoint import VIDEOS, Checkpoint, best_of, read_training, whole_checkpoints
 from rcs.rl.metrics import EPISODES, JUDGED, LENGTH, RATE, REWARD, SPEED, SUCCESSES, Row, read_metrics
 from rcs.rl.training import Training
@@ -38,18 +37,14 @@ def write_report(run: str | Path) -> Path:
 
     Raises:
         InvalidSetup: There is no run.
+        CorruptCheckpoint: All checkpoints are damaged.
         DatasetError: The page cannot be written.
     """
     folder = Path(run)
     training = read_training(folder)
-    rows = read_metrics(folder)
-    try:
-        checkpoints = whole_checkpoints(folder)
-    except CorruptCheckpoint:  # all of them; the curves are there
-        checkpoints = []
     path = folder / REPORT
     with disk_errors("write the report", path):
-        write_file(path, _page(folder, training, rows, checkpoints).encode())
+        write_file(path, _page(folder, training, read_metrics(folder), whole_checkpoints(folder)).encode())
     return path
 
 

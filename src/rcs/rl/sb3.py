@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,15 +17,9 @@ from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, MissingDependency, WrongOrder
 from rcs.rl.flat import Flat
 
-
-def _base() -> Any:
-    try:
-        return importlib.import_module("stable_baselines3.common.vec_env").VecEnv
-    except ImportError:
-        return object  # making one names the missing extra
-
-
-_Base: Any = _base()  # of a class, hence here: this module is imported when `Sb3VecEnv` is used
+_Base: Any = object  # of a class, hence here: this module is imported when `Sb3VecEnv` is used
+with contextlib.suppress(ImportError):  # making one names the missing extra
+    _Base = importlib.import_module("stable_baselines3.common.vec_env").VecEnv
 
 
 class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
@@ -67,8 +62,10 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         """The maps between their dictionaries and vectors."""
         super().__init__(envs.num_envs, self.flat.observation_space, self.flat.action_space)
         self._reward_scale = reward_scale
-        self._returns = np.zeros(envs.num_envs)
-        self._lengths = np.zeros(envs.num_envs, np.int64)
+        self.returns = np.zeros(envs.num_envs)
+        """Sum of the rewards of each copy's running episode, (copies,)."""
+        self.lengths = np.zeros(envs.num_envs, np.int64)
+        """Steps of each copy's running episode, (copies,)."""
         self._start = time.monotonic()
         self._actions: dict[str, Any] | None = None
 
@@ -82,8 +79,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
             raise InvalidSetup("set_options was called; copies take no options at a reset.")
         observation, _ = self.envs.reset(seed=self._seeds)
         self._reset_seeds()
-        self._returns[:] = 0.0
-        self._lengths[:] = 0
+        self.returns[:], self.lengths[:] = 0.0, 0
         return self.flat.observation(observation)
 
     def step_async(self, actions: NDArray[np.floating[Any]]) -> None:
@@ -105,8 +101,8 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         actions, self._actions = self._actions, None
         observation, reward, terminated, truncated, info = self.envs.step(actions)
         done = terminated | truncated
-        self._returns += reward
-        self._lengths += 1
+        self.returns += reward
+        self.lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
             self._describe_ends(infos, info, np.flatnonzero(done), truncated)
@@ -125,22 +121,12 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
             infos[copy] = {
                 "terminal_observation": own,
                 "TimeLimit.truncated": bool(truncated[copy]) and end != DIVERGED,
-                "episode": {"r": float(self._returns[copy]), "l": int(self._lengths[copy]), "t": seconds},
+                "episode": {"r": float(self.returns[copy]), "l": int(self.lengths[copy]), "t": seconds},
                 "end": end,
             }
             if success is not None:
                 infos[copy]["is_success"] = bool(success[copy])
-        self._returns[ended] = 0.0
-        self._lengths[ended] = 0
-
-    def statistics(self) -> dict[str, NDArray[Any]]:
-        """Return the counters of the running episodes, to continue them later, an array (copies,) each."""
-        return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
-
-    def set_statistics(self, statistics: Mapping[str, NDArray[Any]]) -> None:
-        """Set the counters that `statistics` returned; `VecEnv.set_state` restores the copies themselves."""
-        for own, name in ((self._returns, "returns"), (self._lengths, "lengths")):
-            own[:] = statistics[name]
+        self.returns[ended], self.lengths[ended] = 0.0, 0
 
     def close(self) -> None:
         """Close the copies; twice is harmless."""
@@ -150,7 +136,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """Return an attribute of the copies' environment, once per copy."""
-        return [getattr(self.envs, attr_name)] * len(self._numbers(indices))
+        return [getattr(self.envs, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
         """Set an attribute of the copies' environment.
@@ -175,21 +161,10 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
     def env_is_wrapped(self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None) -> list[bool]:
         """Return whether copies are wrapped: by nothing, but their infos have what SB3's `Monitor` would add."""
         monitor = importlib.import_module("stable_baselines3.common.monitor").Monitor
-        return [wrapper_class is monitor] * len(self._numbers(indices))
-
-    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Return no pictures: copies are not drawn for people."""
-        return [None] * self.num_envs
-
-    def _numbers(self, indices: int | Iterable[int] | None) -> list[int]:
-        return list(self._get_indices(indices))
+        return [wrapper_class is monitor] * len(list(self._get_indices(indices)))
 
     def _require_all(self, indices: int | Iterable[int] | None) -> list[int]:
-        numbers = self._numbers(indices)
+        numbers = list(self._get_indices(indices))
         if sorted(numbers) != list(range(self.num_envs)):
             raise InvalidSetup(f"indices is {indices!r}; the copies are one environment, so name all or none.")
         return numbers
-
-    def __repr__(self) -> str:
-        """Return the copies and the maps."""
-        return f"Sb3VecEnv({self.envs!r}, {self.flat!r})"

@@ -252,7 +252,7 @@ class _Run:
         for place in reversed(checkpoints_of(self._run)):
             try:
                 checkpoint = open_checkpoint(place)
-                if not checkpoint.can_be_resumed:
+                if not (place / LEARNER).exists():
                     damage = damage or f"{place} has no {LEARNER}."
                     continue
                 saved = checkpoint.policy(), checkpoint.learner(), checkpoint.replay()

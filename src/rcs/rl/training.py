@@ -155,10 +155,6 @@ class Training(Course):
         if self.setup.stepping == "realtime":
             raise InvalidSetup("stepping is 'realtime'; training has no wall clock: use 'async'.")
 
-    def on(self, robot: str, end_effector: str | None = None) -> Training:
-        """Return the training of another robot, with its usual end effector or another one."""
-        return replace(self, setup=replace(self.setup, robot=robot, end_effector=end_effector))
-
     @property
     def evaluation_interval(self) -> int:
         """Steps between two evaluations."""
