@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from rcs.agents.agent import Agent
@@ -20,7 +20,6 @@ class Replay(Agent):
             actions: One array (steps, ...) per key; with several robots, such a dictionary per robot.
         """
         self._actions = dict(actions)
-        self._length = min(_lengths(self._actions), default=0)
         self._next = 0
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
@@ -33,18 +32,12 @@ class Replay(Agent):
         Raises:
             WrongOrder: All actions were played.
         """
-        if self._next >= self._length:
-            raise WrongOrder(f"All {self._length} recorded actions were played; call reset to start again.")
+        try:
+            action = _row(self._actions, self._next)
+        except IndexError as err:
+            raise WrongOrder(f"All {self._next} recorded actions were played; call reset to start again.") from err
         self._next += 1
-        return _row(self._actions, self._next - 1)
-
-
-def _lengths(actions: Mapping[str, Any]) -> Iterator[int]:
-    for value in actions.values():
-        if isinstance(value, Mapping):
-            yield from _lengths(value)
-        else:
-            yield len(value)
+        return action
 
 
 def _row(actions: Mapping[str, Any], i: int) -> Action:

@@ -70,12 +70,12 @@ class TrainingEvaluator:
         """Make the copies.
 
         Args:
-            training: The training.
+            training: The training, whose evaluations have episodes.
             agent: Its policy, which acts in a batch and alone, as `PolicyAgent`.
             threads: Threads for physics and drawing, 0 for one per CPU.
         """
         self._training, self._agent = training, agent
-        copies = max(min(training.copies, training.episodes), 1)
+        copies = min(training.copies, training.episodes)
         self._envs = make_vec(training.evaluation_setup, copies=copies, threads=threads, autoreset="Disabled")
         self._film: Film | None = None
         self._film_env = None
@@ -99,9 +99,7 @@ class TrainingEvaluator:
 
     def close(self) -> None:
         """Close the copies. Closing twice is harmless."""
-        film = [] if self._film is None else [self._film.close]
-        env = [] if self._film_env is None else [self._film_env.close]
-        for_all([*film, *env, self._envs.close])
+        for_all([one.close for one in (self._film, self._film_env, self._envs) if one is not None])
 
 
 def score_of(attempts: list[Attempt]) -> Score:

@@ -90,16 +90,11 @@ class PolicyAgent(Agent):
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Return the action for an observation of one copy, or those of a batch."""
         flat = self.flat.observation(observation)
-        space: Any = self.flat.observation_space
-        if isinstance(flat, dict):
-            name, example = next(iter(flat.items()))
-            space = space[name]
-        else:
-            example = flat
+        example = next(iter(flat.values())) if isinstance(flat, dict) else flat  # the state, or without one a frame
         before = self._torch.get_num_threads()
         self._torch.set_num_threads(1)  # a row is small, and sums are then the same in every process
         try:
-            if example.ndim == len(space.shape):
+            if example.ndim == (1 if self.flat.layout.state else 3):
                 return self.flat.action(self._row(flat))
             return self.flat.action(np.stack([self._row(_copy(flat, copy)) for copy in range(len(example))]))
         finally:

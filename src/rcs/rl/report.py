@@ -51,7 +51,7 @@ def write_report(run: str | Path) -> Path:
 def _page(folder: Path, training: Training, rows: Sequence[Row], checkpoints: Sequence[Checkpoint]) -> str:
     setup = training.setup
     title = f"{setup.task} on {setup.robot_label}"
-    best = best_of(list(checkpoints))
+    best = best_of(checkpoints)
     parts = [_success(rows, training), _videos(folder, checkpoints, best), _curves(rows, training)]
     main = element("main", *parts, _tables(training, checkpoints), class_="sheet")
     return page(title, _header(title, training, rows, best), main, script(web(CHARTS_SCRIPT)))

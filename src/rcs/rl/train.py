@@ -161,10 +161,8 @@ def lock_run(run: Path) -> Generator[None]:
         write_all(fd, f"{os.getpid()}\n".encode())
         (run / CHECKPOINTS).mkdir(exist_ok=True)
         sync_folder(run)
-    try:
+    with lock:
         yield
-    finally:
-        lock.release()
 
 
 def agreed(run: Path, training: Training) -> Training:
@@ -275,6 +273,7 @@ class _Run:
         """Train; see the function `train`."""
         progress, learner, training = self._progress, self._learner, self._training
         begun = -1 if self._last is None else self._last.steps
+        evaluate_every = training.evaluate_every or max(training.steps // 20, 1)
         try:
             remove_old(self._run, keep_after=begun)
             scored = [one for one in whole_checkpoints(self._run) if one.score is not None]
@@ -286,9 +285,9 @@ class _Run:
                     before = learner.steps
                     self._advance()
                     yield progress
-                    if learner.is_done or _passes(before, learner.steps, training.evaluation_interval):
+                    if learner.is_done or _passes(before, learner.steps, evaluate_every):
                         yield from self._evaluate_and_save()
-                    elif _passes(before, learner.steps, training.checkpoint_interval):
+                    elif _passes(before, learner.steps, training.checkpoint_every or evaluate_every):
                         self._save(None)
                 if self._last is not None and self._last.steps < learner.steps:
                     self._save(None)

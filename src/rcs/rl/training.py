@@ -156,16 +156,6 @@ class Training(Course):
             raise InvalidSetup("stepping is 'realtime'; training has no wall clock: use 'async'.")
 
     @property
-    def evaluation_interval(self) -> int:
-        """Steps between two evaluations."""
-        return self.evaluate_every or max(self.steps // 20, 1)
-
-    @property
-    def checkpoint_interval(self) -> int:
-        """Steps between two checkpoints."""
-        return self.checkpoint_every or self.evaluation_interval
-
-    @property
     def evaluation_setup(self) -> Setup:
         """The environment in which the policy is judged."""
         return replace(self.setup, max_episode_steps=self.evaluation_steps) if self.evaluation_steps else self.setup
