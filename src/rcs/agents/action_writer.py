@@ -110,7 +110,10 @@ class ActionWriter:
         return self._with_gripper(joints, opening)
 
     def _with_gripper(self, arm: NDArray[np.float64], opening: float) -> Action:
-        return {self._name: arm} | ({GRIPPER: np.array([opening], np.float32)} if self._has_opening else {})
+        action: Action = {self._name: arm}
+        if self._has_opening:
+            action[GRIPPER] = np.array([opening], np.float32)
+        return action
 
     def _pose_action(self, tcp: NDArray[np.float64]) -> NDArray[np.float64]:
         action = tcp

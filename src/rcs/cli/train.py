@@ -95,7 +95,7 @@ class TrainCommand:
         finally:
             if progress.steps:
                 _summarise(progress, out, console)
-        return INTERRUPTED if progress.is_interrupted and progress.steps < progress.total else 0
+        return INTERRUPTED if progress.is_interrupted and progress.steps < training.steps else 0
 
     def _imitation(self, policy: LerobotPolicy) -> Imitation:
         if self.dataset is None or self.lerobot_environment is None:

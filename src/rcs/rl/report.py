@@ -41,10 +41,10 @@ def write_report(run: str | Path) -> Path:
         DatasetError: The page cannot be written.
     """
     folder = Path(run)
-    training = read_training(folder)
+    text = _page(folder, read_training(folder), read_metrics(folder), whole_checkpoints(folder))
     path = folder / REPORT
     with disk_errors("write the report", path):
-        write_file(path, _page(folder, training, read_metrics(folder), whole_checkpoints(folder)).encode())
+        write_file(path, text.encode())
     return path
 
 

@@ -62,8 +62,6 @@ class TrainingProgress:
 
     steps: int = 0
     """Environment steps so far, of all copies together."""
-    total: int = 0
-    """Steps of the whole training."""
     seconds: float = 0.0
     """Duration of the training so far, with the time before kills that is not repeated [s]."""
     speed: float = 0.0
@@ -223,7 +221,6 @@ class _Run:
 
     def __init__(self, run: Path, training: Training, progress: TrainingProgress, threads: int, videos: bool) -> None:
         self._run, self._progress, self._threads, self._videos = run, progress, threads, videos
-        progress.total = training.steps
         if not training.torch_threads:
             # Networks for states are so small that more threads are slower; convolutions use all of them.
             training = replace(training, torch_threads=cpus() if training.setup.cameras else 1)
