@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from rcs.errors import InvalidSetup
-from rcs.policy import ChunkPlan, Execution
-from rcs.policy.execution import Executor
-from rcs.policy.plan import Part
+from rcs.policy.execution import Execution, Executor
+from rcs.policy.plan import ChunkPlan, Part
 
 PERIOD = 1 / 30
 PART = Part("joints", slice(0, 1), "linear")

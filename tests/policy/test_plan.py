@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rcs.errors import InvalidSetup
-from rcs.policy import Blend, ChunkPlan, Ensemble
-from rcs.policy.plan import NEAR, Part
+from rcs.policy.plan import NEAR, Blend, ChunkPlan, Ensemble, Part
 from rcs.spatial import compose, distance, inverse, normalize, xyzrpy_to_tquat
 
 JOINTS = Part("joints", slice(0, 3), "linear")

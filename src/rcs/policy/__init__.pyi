@@ -2,9 +2,5 @@ from rcs.policy.agent import NOTES as NOTES
 from rcs.policy.agent import ChunkAgent as ChunkAgent
 from rcs.policy.agent import ServedPolicy as ServedPolicy
 from rcs.policy.execution import Execution as Execution
-from rcs.policy.execution import Mode as Mode
 from rcs.policy.interface import fitted as fitted
 from rcs.policy.interface import offer_of as offer_of
-from rcs.policy.plan import Blend as Blend
-from rcs.policy.plan import ChunkPlan as ChunkPlan
-from rcs.policy.plan import Ensemble as Ensemble
