@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import struct
 import time
+from abc import abstractmethod
 from pathlib import Path
+
+from rcs_data.files.closing import Closing
 
 from rcs.teleop.device_file import DeviceFile, line_of
 
@@ -27,7 +30,30 @@ NAMES = {
 """Names of keys by their code (linux/input-event-codes.h), after their place on an American keyboard."""
 
 
-class InputEvents:
+class Keys(Closing):
+    """Keys of a keyboard, wherever they are."""
+
+    def __init__(self) -> None:
+        """Know no key yet."""
+        self.held: set[str] = set()
+        """Keys that are held; those without a name of their own are their code."""
+        self.pressed: list[str] = []
+        """Keys pressed and not yet taken, oldest first."""
+        self.damaged = 0
+        """Number of messages that could not be used."""
+        self.time = 0.0
+        """Until when the keys are known [s, `time.monotonic()`]."""
+
+    @abstractmethod
+    def open(self) -> None:
+        """Begin to listen; faults as in `InputDevice.open`."""
+
+    @abstractmethod
+    def wait(self, seconds: float) -> None:
+        """Take in what is pressed and released within a time [s]; return at the first event."""
+
+
+class InputEvents(Keys):
     """Keys held and pressed on a device that this program keeps to itself."""
 
     def __init__(self, path: str, what: str) -> None:
@@ -37,17 +63,10 @@ class InputEvents:
             path: Such as `/dev/input/event5`.
             what: The device in messages.
         """
+        super().__init__()
         self.path, self._what = path, what
         self._file: DeviceFile | None = None
         self._rest = b""
-        self.held: set[str] = set()
-        """Keys that are held; those without a name of their own are their code."""
-        self.pressed: list[str] = []
-        """Keys pressed and not yet taken, oldest first."""
-        self.damaged = 0
-        """Number of events that could not be used."""
-        self.time = 0.0
-        """Until when the keys are known [s, `time.monotonic()`]."""
 
     def open(self) -> None:
         """Open the device; what is held now counts once it is pressed again.

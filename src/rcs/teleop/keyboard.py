@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from rcs.errors import InvalidSetup
 from rcs.teleop.device import Button, HandReading, InputDevice, Motion, Reading
-from rcs.teleop.input_events import InputEvents
+from rcs.teleop.input_events import InputEvents, Keys
 from rcs.teleop.opened import Opened
 from rcs.teleop.terminal import Terminal
 
@@ -38,40 +36,6 @@ INSTRUCTIONS = (
 KNOWN = frozenset({*MOTIONS, *MEANINGS, *FASTER, SLOWER})
 TOGETHER = 6
 """Most keys of motion at once; more mean something lies on the keyboard."""
-
-
-class Keys(Protocol):
-    """Keys of a keyboard, wherever they are."""
-
-    @property
-    def held(self) -> set[str]:
-        """Names of the keys that are held."""
-        ...
-
-    pressed: list[str]
-    """Keys pressed and not yet taken, oldest first."""
-
-    @property
-    def damaged(self) -> int:
-        """Number of messages that could not be used."""
-        ...
-
-    @property
-    def time(self) -> float:
-        """Until when the keys are known [s, `time.monotonic()`]."""
-        ...
-
-    def open(self) -> None:
-        """Begin to listen; faults as in `InputDevice.open`."""
-        ...
-
-    def wait(self, seconds: float) -> None:
-        """Take in what is pressed and released within a time [s]; return at the first event."""
-        ...
-
-    def close(self) -> None:
-        """Give the keyboard back."""
-        ...
 
 
 class Keyboard(InputDevice):

@@ -10,6 +10,7 @@ import time
 from collections.abc import Collection
 
 from rcs.errors import DeviceFault
+from rcs.teleop.input_events import Keys
 from rcs.teleop.terminal_keys import ASK, ASK_FOR_PROTOCOL, BEGIN_PROTOCOL, END_PROTOCOL, KeyEvent, TerminalKeys
 
 HELD = 0.15
@@ -22,7 +23,7 @@ ASKING = 0.03
 """Time between two questions to a terminal that says when keys are released [s]."""
 
 
-class Terminal:
+class Terminal(Keys):
     """Keys held and pressed in the controlling terminal.
 
     With kitty's protocol a held key is silent. Therefore the terminal is polled, and `time` is that of the last
@@ -35,26 +36,13 @@ class Terminal:
         Args:
             buttons: Keys of which every press counts once, however long they are held.
         """
+        super().__init__()
         self._buttons = frozenset(buttons)
         self._file = -1
         self._keys = TerminalKeys()
         self._held: dict[str, float] = {}
         self._has_releases = False
         self._asked: float | None = None
-        self.time = 0.0
-        """Until when the keys are known [s, `time.monotonic()`]."""
-        self.pressed: list[str] = []
-        """Keys pressed and not yet taken, oldest first."""
-
-    @property
-    def held(self) -> set[str]:
-        """Keys that are held."""
-        return set(self._held)
-
-    @property
-    def damaged(self) -> int:
-        """Number of sequences that could not be used."""
-        return self._keys.damaged
 
     def open(self) -> None:
         """Have the terminal send keys at once and unseen.
@@ -75,7 +63,7 @@ class Terminal:
         mode[3] &= ~(termios.ICANON | termios.ECHO)  # Ctrl-C still interrupts
         termios.tcsetattr(self._file, termios.TCSADRAIN, mode)
         self._keys, self._held, self._has_releases, self._asked = TerminalKeys(), {}, False, None
-        self.pressed = []
+        self.held, self.pressed, self.damaged = set(), [], 0
         try:
             self._has_releases = self._says_when_released()
             if self._has_releases:
@@ -99,6 +87,7 @@ class Terminal:
         if not self._has_releases:
             self.time = time.monotonic()
             self._held = {key: since for key, since in self._held.items() if self.time < since + self._lasts(key)}
+        self.held, self.damaged = set(self._held), self._keys.damaged
 
     def close(self) -> None:
         """Give the terminal its former mode, without the keys that nobody has taken."""

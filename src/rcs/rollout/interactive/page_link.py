@@ -22,6 +22,7 @@ from msgspec import Meta
 from rcs_data.files.closing import Closing
 
 from rcs.extras import package_of
+from rcs.teleop.input_events import Keys
 from rcs.teleop.keyboard import FASTER, MOTIONS, SLOWER
 from rcs.teleop.waking_clock import WakingClock
 
@@ -202,23 +203,13 @@ class PageLink(Closing):
             return  # it is gone, and no longer heard
 
 
-class PageKeys:
+class PageKeys(Keys):
     """Keys of the page that leads, as those of a keyboard."""
 
     def __init__(self, link: PageLink) -> None:
         """Take the link to pages, which stays the caller's."""
+        super().__init__()
         self._link = link
-        self.held: set[str] = set()
-        """Keys that are held."""
-        self.pressed: list[str] = []
-        """Keys pressed and not yet taken, oldest first."""
-        self.time = 0.0
-        """Until when the keys are known [s, `time.monotonic()`]."""
-
-    @property
-    def damaged(self) -> int:
-        """Number of messages that could not be used."""
-        return self._link.damaged
 
     def open(self) -> None:
         """Have the keys of pages lead."""
@@ -227,7 +218,7 @@ class PageKeys:
 
     def wait(self, seconds: float) -> None:
         """Take in what is pressed and released within a time [s]; return at the first news."""
-        found = self._link.keys(seconds)
+        found, self.damaged = self._link.keys(seconds), self._link.damaged
         if found is not None:
             self.time, held, pressed = found
             self.held, self.pressed = set(held), self.pressed + pressed
