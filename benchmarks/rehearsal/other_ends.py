@@ -32,7 +32,7 @@ from rcs.spatial import tquat_to_matrix
 from rcs.teleop import Button, InputDevice, LeaderCalibration, Vive, credentials, gamepad, keyboard, spacemouse
 from rcs.teleop import gello as gello_at
 from rcs.teleop import so101_leader as so101_leader_at
-from rcs.teleop.headset_frames import TO_FRONT_LEFT_UP
+from rcs.teleop.headset_messages import TO_FRONT_LEFT_UP
 from rcs.teleop.quest import Quest
 from rcs.teleop.terminal_keys import ASK, ASK_FOR_PROTOCOL
 from rcs.teleop.vive_relay import POSES, RIGHT, Tracked, meet, pack

@@ -11,8 +11,7 @@ import pytest
 from rcs.spatial import compose, inverse
 from rcs.teleop.device import Reading
 from rcs.teleop.feed import flaw_of
-from rcs.teleop.headset_frames import from_headset
-from rcs.teleop.headset_messages import decode, hand_of
+from rcs.teleop.headset_messages import decode, from_headset, hand_of
 
 HALF = np.sqrt(0.5)
 

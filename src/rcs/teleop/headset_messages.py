@@ -1,4 +1,7 @@
-"""Messages that the page in a headset sends: one of JSON per picture that the headset shows."""
+"""Messages that the page in a headset sends: one of JSON per picture that the headset shows.
+
+The axes of headsets are x to the right, y up, z to the back, as in OpenXR, WebXR and OpenVR.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,9 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numpy.typing import ArrayLike, NDArray
 
 from rcs.teleop.device import Button, HandReading
-from rcs.teleop.headset_frames import from_headset
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Seven = tuple[float, float, float, float, float, float, float]
@@ -23,6 +26,12 @@ MEANINGS: Mapping[str, Mapping[int, Button]] = {
 PUSHED, LET_GO = -0.8, -0.6
 """Deflection of the left stick away from the person that presses the button `takeover`, and that releases it: a stick
 at one of them gives the robot once."""
+TO_FRONT_LEFT_UP = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Rotates a headset's axes into those of an input device: x to the front, y to the left, z up."""
+FARTHEST = 100.0
+"""Distance beyond which a pose is no pose [m]."""
+UNIT = 0.01
+"""Largest deviation of a quaternion's length from 1."""
 
 
 class HandMessage(msgspec.Struct, forbid_unknown_fields=True):
@@ -79,3 +88,19 @@ def hand_of(name: str, message: HandMessage | None, *, was_pushed: bool = False)
     return HandReading(
         pose=pose, opening=1.0 - message.trigger, buttons=frozenset(buttons), is_tracked=pose is not None
     )
+
+
+def from_headset(pose: ArrayLike) -> NDArray[np.float64]:
+    """Return a pose of a headset in the axes of an input device; NaN if it is no pose, which the feed leaves out.
+
+    The hand's own axes change likewise: x is where it points.
+
+    Args:
+        pose: Translation [m] and quaternion xyzw, (7,).
+    """
+    given = np.asarray(pose, np.float64)
+    length = float(np.linalg.norm(given[3:]))
+    if not np.isfinite(given).all() or np.abs(given[:3]).max() > FARTHEST or abs(length - 1.0) > UNIT:
+        return np.full(7, np.nan)
+    turned = given[3:] / length
+    return np.array([*(TO_FRONT_LEFT_UP @ given[:3]), *(TO_FRONT_LEFT_UP @ turned[:3]), turned[3]])

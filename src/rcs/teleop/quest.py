@@ -17,7 +17,7 @@ from rcs.envs.spaces import FRAMES, RGB, Observation
 from rcs.errors import InvalidSetup
 from rcs.teleop import credentials
 from rcs.teleop.device import POLL, InputDevice, Reading
-from rcs.teleop.headset_messages import FrameMessage, hand_of
+from rcs.teleop.headset_messages import hand_of
 from rcs.teleop.headset_server import HeadsetServer
 from rcs.teleop.opened import Opened
 from rcs.teleop.waking_clock import WakingClock
@@ -81,9 +81,9 @@ class Quest(InputDevice):
                 server.counts["clock jumped"] += 1
                 return None
             at -= 0.5e-3 * frame.round_trip
-            reading = reading_of(frame, at, server.counts, was_pushed=self._is_pushed)
-            self._is_pushed = "takeover" in reading.hands["left"].buttons
-            return reading
+            hands = {name: hand_of(name, frame.hands.get(name), was_pushed=self._is_pushed) for name in self.hands}
+            self._is_pushed = "takeover" in hands["left"].buttons
+            return Reading(time=at, hands=hands, device_time=1e-3 * frame.time, counts=dict(server.counts))
 
     def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Show cameras and the state of the hands in the headset."""
@@ -144,12 +144,6 @@ class Feedback:
                 picture = simplejpeg.encode_jpeg(rgb, quality=QUALITY, colorspace="RGB")
                 self._server.send(bytes([len(label)]) + label + picture)
         self._has_ended.wait(1 / PICTURES)
-
-
-def reading_of(frame: FrameMessage, at: float, counts: Mapping[str, int], *, was_pushed: bool = False) -> Reading:
-    """Return the reading of a frame that was made at a time [s]; see `hand_of`."""
-    hands = {name: hand_of(name, frame.hands.get(name), was_pushed=was_pushed) for name in Quest.hands}
-    return Reading(time=at, hands=hands, device_time=1e-3 * frame.time, counts=dict(counts))
 
 
 def address_of(given: str | None, port: int) -> tuple[str, int]:

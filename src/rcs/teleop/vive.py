@@ -10,7 +10,7 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from rcs.extras import package_of
 from rcs.spatial import matrix_to_tquat
 from rcs.teleop import credentials
 from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Reading
-from rcs.teleop.headset_frames import from_headset
+from rcs.teleop.headset_messages import from_headset
 from rcs.teleop.opened import Opened
 from rcs.teleop.quest import address_of
 from rcs.teleop.vive_relay import (
@@ -49,21 +49,6 @@ STRAIGHT = 0.01
 """Largest deviation of a matrix from a rotation."""
 
 
-class Source(Protocol):
-    """Where tracked devices come from."""
-
-    counts: Counter[str]
-    """Counts of what could not be used, by kind."""
-
-    def next(self) -> tuple[float, Sequence[Tracked]] | None:
-        """Return devices with the time at which they were there [s], or None if there is no news within `POLL`."""
-        ...
-
-    def close(self) -> None:
-        """Give it back."""
-        ...
-
-
 class Vive(InputDevice):
     """Two wands, or one tracker as the right hand; a wand's grip is its clutch."""
 
@@ -82,7 +67,7 @@ class Vive(InputDevice):
             InvalidSetup: The address is none.
         """
         self._listens_at = None if address is None else address_of(address, PORT)
-        self._opened = Opened[Source]("Vive")
+        self._opened = Opened["_SteamVr | _Relay"]("Vive")
         self._instructions = ""
         self._presses: dict[int, Button] = {}
 
@@ -124,6 +109,7 @@ class _SteamVr:
 
     def __init__(self) -> None:
         self.counts = Counter[str]()
+        """Counts of what could not be used, by kind."""
         self._openvr: Any = package_of("vive", "openvr", "A Vive needs")
         try:
             self._openvr.init(self._openvr.VRApplication_Background)
@@ -135,7 +121,8 @@ class _SteamVr:
         self._system: Any = self._openvr.VRSystem()
         self._due = 0.0
 
-    def next(self) -> tuple[float, Sequence[Tracked]] | None:
+    def next(self) -> tuple[float, Sequence[Tracked]]:
+        """Return devices with the time at which they were there [s]."""
         time.sleep(max(self._due - time.monotonic(), 0.0))
         self._due = time.monotonic() + PERIOD
         if has_ended(self._system, self._openvr):
@@ -167,6 +154,7 @@ class _Relay:
         self._clock = WakingClock()
 
     def next(self) -> tuple[float, Sequence[Tracked]] | None:
+        """Return devices with the time at which they were there [s]; None if there is no news within `POLL`."""
         end = time.monotonic() + POLL
         while (rest := end - time.monotonic()) > 0 and select.select([self._socket], [], [], rest)[0]:
             packet, peer = self._socket.recvfrom(4096)
