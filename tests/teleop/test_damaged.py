@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from rcs.teleop.dynamixel import Answers, packet
+from rcs.teleop.gello import Answers, packet
 from rcs.teleop.headset_messages import FrameMessage, decode, hand_of
 from rcs.teleop.input_events import HIGHEST, InputEvents
 from rcs.teleop.spacemouse import KnobReports

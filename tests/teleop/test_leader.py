@@ -17,8 +17,7 @@ from rcs.errors import DeviceFault, InvalidSetup, Refused
 from rcs.robots.fr3 import FR3
 from rcs.robots.so101 import SO101
 from rcs.teleop.calibrate_leader import calibrate_leader
-from rcs.teleop.dynamixel import Answers, checksum, packet
-from rcs.teleop.gello import connect, gello
+from rcs.teleop.gello import Answers, DynamixelBus, checksum, gello, packet
 from rcs.teleop.leader import Leader, LeaderCalibration
 from rcs.teleop.so101_leader import So101Bus, so101_leader, uncalibrated
 from tests.teleop.leaders import COUNTS, STEP, Bus, bus_of, calibrated, saved
@@ -196,7 +195,7 @@ def test_calibration_finds_signs_and_offsets(dynamixel: Bus, tmp_path: Path) -> 
         failures = 0
 
         def __init__(self, calibration: LeaderCalibration) -> None:
-            self.bus = connect(calibration)
+            self.bus = DynamixelBus(calibration)
 
         def angles(self) -> np.ndarray:
             if turned:

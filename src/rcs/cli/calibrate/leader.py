@@ -16,7 +16,7 @@ from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription
 from rcs.rollout.episode import read_line
 from rcs.teleop.calibrate_leader import calibrate_leader
-from rcs.teleop.gello import connect
+from rcs.teleop.gello import DynamixelBus
 from rcs.teleop.leader import LeaderBus, LeaderCalibration
 from rcs.teleop.so101_leader import So101Bus, uncalibrated
 
@@ -62,4 +62,4 @@ class LeaderCommand:
         if self.leader == "so101_leader":
             return uncalibrated(self.port), So101Bus
         servos = self.servos or tuple(range(1, arm.dof + 2))
-        return replace(uncalibrated(self.port, servos), baud=self.baud), connect
+        return replace(uncalibrated(self.port, servos), baud=self.baud), DynamixelBus
