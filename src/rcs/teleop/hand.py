@@ -8,6 +8,7 @@ moment, so that engaging moves nothing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -17,10 +18,9 @@ from numpy.typing import NDArray
 from rcs.agents.guide import Guide
 from rcs.envs.spaces import Action, Observation
 from rcs.kinematics.chain import POSE
-from rcs.spatial import compose, distance, inverse, limit_step
+from rcs.spatial import Pose, compose, distance, interpolate, inverse, limit_step
 from rcs.teleop.device import Button, HandReading
 from rcs.teleop.options import LeadOptions
-from rcs.teleop.pose_filter import PoseFilter
 
 State = Literal["released", "engaged", "held"]
 
@@ -46,6 +46,12 @@ CALM = 0.03, 1.0
 PICKED_UP = 0.1
 """Difference of openings at which a hand's takes over from that of the gripper: what was grasped does not fall."""
 
+SPEED_CUTOFF = 5.0
+"""Cutoff frequency of the measured speed [Hz]."""
+
+TURN = 0.2
+"""Speed of translation that counts as much as a rotational speed of one [m/rad]."""
+
 
 class Hand:
     """Leads one robot as a hand moves."""
@@ -64,7 +70,7 @@ class Hand:
         """Whether the robot follows."""
         self.why = ""
         """Why the hand is held, or does not engage."""
-        self.front = options.front_angle
+        self.front = float(np.deg2rad(options.front))
         """Direction of the device's frame that is the robot's front [rad]."""
         self._options, self._period, self._has_clutch = options, period, has_clutch
         self._filter = PoseFilter(options.smoothing, options.quickness)
@@ -213,7 +219,7 @@ class Hand:
             return
         velocity *= (size - options.deadband) / (1.0 - options.deadband) / size / max(1.0, size)
         step = velocity * self._period
-        turned = compose((*np.zeros(3), *_quaternion(step[3:])), _rotation(goal))
+        turned = compose(Pose.from_rotvec(np.zeros(3), step[3:]).tquat, _rotation(goal))
         goal = np.concatenate([goal[:3] + step[:3], turned[3:] if guide.kinematics.dof >= POSE else goal[3:]])
         self._tcp_at = limit_step(guide.tcp_in_scene, goal, *LEAD)
         guide.lead_to(self._tcp_at)
@@ -251,11 +257,56 @@ class Hand:
         return np.array([cos * x + sin * y, cos * y - sin * x, z])
 
 
+class PoseFilter:
+    """Follows samples of a hand's pose with a low-pass whose cutoff frequency grows with their speed.
+
+    Calm while the hand is still, quick while it moves: the One-Euro filter of Casiez, Roussel and Vogel (CHI 2012). It
+    is evaluated at the moments of the loop instead of those of the samples, so that a loop that is faster than the
+    device has a new target in every step.
+    """
+
+    def __init__(self, cutoff: float, quickness: float) -> None:
+        """Set the cutoff.
+
+        Args:
+            cutoff: Cutoff frequency at rest [Hz].
+            quickness: Its increase with the speed [Hz per m/s].
+        """
+        self._cutoff, self._quickness = cutoff, quickness
+        self._newest = self._filtered = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        self._sampled = self._now = 0.0
+        self._speeds = np.zeros(2)
+
+    def reset(self, pose: NDArray[np.float64], time: float, now: float) -> None:
+        """Start at rest at a pose, (7,), that was sampled at a moment [s]."""
+        self._newest = self._filtered = np.array(pose, np.float64)
+        self._sampled, self._now = time, now
+        self._speeds = np.zeros(2)
+
+    def take(self, pose: NDArray[np.float64], time: float) -> None:
+        """Take a sample, (7,), of a moment [s]; an old one again changes nothing."""
+        passed = time - self._sampled
+        if passed <= 0:
+            return
+        speeds = np.asarray(distance(self._newest, pose)) / passed
+        self._speeds = self._speeds + (speeds - self._speeds) * _share(SPEED_CUTOFF, passed)
+        self._newest, self._sampled = np.array(pose, np.float64), time
+
+    def at(self, now: float) -> NDArray[np.float64]:
+        """Return the filtered pose, (7,), at a moment [s]."""
+        passed, self._now = max(now - self._now, 0.0), now
+        way, turn = self._speeds
+        shares = [_share(self._cutoff + self._quickness * speed, passed) for speed in (way, TURN * turn)]
+        filtered = interpolate(self._filtered, self._newest, shares[1])
+        filtered[:3] = self._filtered[:3] + shares[0] * (self._newest[:3] - self._filtered[:3])
+        self._filtered = filtered
+        return filtered
+
+
 def _rotation(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([np.zeros(3), pose[3:]])
 
 
-def _quaternion(rotvec: NDArray[np.float64]) -> NDArray[np.float64]:
-    angle = float(np.linalg.norm(rotvec))
-    axis = rotvec / angle if angle > 1e-12 else np.zeros(3)
-    return np.append(np.sin(angle / 2) * axis, np.cos(angle / 2))
+def _share(cutoff: float, passed: float) -> float:
+    """Return the share of the way to its input that a low-pass goes in some time [s]."""
+    return 1.0 - math.exp(-2.0 * math.pi * cutoff * passed)

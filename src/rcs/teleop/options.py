@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import numpy as np
 from rcs_data.options import Meta, NotNegative, Positive, Record
 
 from rcs.agents.guide import SPEED, TURN_SPEED
@@ -31,8 +30,3 @@ class LeadOptions(Record):
     """Increase of the cutoff frequency with the speed of the hand [Hz per m/s], so that fast motions are not late."""
     catch_up: bool = False
     """Let a follower come slowly to a leader that is elsewhere, instead of waiting until the leader is near it."""
-
-    @property
-    def front_angle(self) -> float:
-        """Direction of the robot's front [rad]."""
-        return float(np.deg2rad(self.front))
