@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rcs.errors import DeviceFault, InvalidSetup, UnknownName
-from rcs.teleop import Feed, HandReading, InputDevice, Reading, operator_for
+from rcs.teleop import Feed, HandReading, InputDevice, Operator, Reading
 from rcs.teleop import operator as operators
 from tests.teleop.scripted_device import ScriptedDevice, at, held
 
@@ -268,7 +268,7 @@ def test_an_unknown_device_lists_the_known_ones() -> None:
     import rcs
 
     with pytest.raises(UnknownName, match="no input device named"):
-        operator_for(rcs.make("Free"), "joistick")
+        Operator(rcs.make("Free"), "joistick")
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from rcs.cli.setup_options import SetupOptions
 from rcs.errors import InvalidSetup
 from rcs.rollout.interactive.browser_view import BrowserView
 from rcs.rollout.interactive.session import Session, playable
-from rcs.teleop import operator_for
+from rcs.teleop import Operator
 
 
 @dataclass(kw_only=True)
@@ -77,4 +77,4 @@ class SimCommand(SetupOptions):
     def _acting(self) -> Any:
         """Return who acts in place of the page; None for the page, and the task's expert on request."""
         given = self.input
-        return self.actor if given is None else lambda env: operator_for(env, given)
+        return self.actor if given is None else lambda env: Operator(env, given)

@@ -12,7 +12,6 @@ from rcs.teleop.keyboard import Keyboard as Keyboard
 from rcs.teleop.leader import Leader as Leader
 from rcs.teleop.leader import LeaderCalibration as LeaderCalibration
 from rcs.teleop.operator import Operator as Operator
-from rcs.teleop.operator import operator_for as operator_for
 from rcs.teleop.options import LeadOptions as LeadOptions
 from rcs.teleop.pedal import Pedal as Pedal
 from rcs.teleop.pedal import WithButtons as WithButtons

@@ -14,12 +14,14 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from rcs_data.files.closing import Closing
 
-from rcs.teleop.device import BUTTONS, OF_HANDS, Button, HandReading, InputDevice, Reading
+from rcs.agents.agent import Event
+from rcs.teleop.device import BUTTONS, Button, HandReading, InputDevice, Reading
 
 _log = logging.getLogger(__name__)
 
@@ -40,7 +42,7 @@ PATIENCE = 2.0
 
 SILENT = "no reading yet"
 
-REQUESTS = tuple(button for button in BUTTONS if button not in OF_HANDS)
+REQUESTS: tuple[Event, ...] = get_args(Event)
 """Buttons that count also while nobody knows where the hand is, and after a silence."""
 
 

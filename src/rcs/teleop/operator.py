@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from rcs.envs.env import Env
 from rcs.envs.observer import Note
 from rcs.envs.spaces import Action, Observation
 from rcs.errors import InvalidSetup, UnknownName
-from rcs.teleop.device import Button, InputDevice
-from rcs.teleop.feed import Feed, News
+from rcs.teleop.device import InputDevice
+from rcs.teleop.feed import REQUESTS, Feed, News
 from rcs.teleop.hand import Hand, State
 from rcs.teleop.options import LeadOptions
 
@@ -33,16 +33,9 @@ HELD_UP = 0.3
 """Time between two actions after which hands are held [s]: real arms have stopped by then, and the hands are
 elsewhere."""
 
-Actor = Literal["policy", "person"]
 STATES: tuple[State, ...] = ("released", "engaged", "held")
 UNITS = {"pose": "m, xyzw", "twist": "m/s, rad/s", "joints": "rad"}
 """Units of what a device measures."""
-
-REQUESTS: Mapping[Button, Event] = {
-    "start": "start", "success": "success", "failure": "failure", "discard": "discard", "stop": "stop",
-    "reset": "reset", "takeover": "takeover",
-}  # fmt: skip
-"""Events of buttons, of any hand."""
 
 
 class Operator(Agent):
@@ -51,7 +44,7 @@ class Operator(Agent):
     def __init__(
         self,
         env: Env,
-        device: InputDevice,
+        device: InputDevice | str,
         *,
         options: LeadOptions | None = None,
         robots: Mapping[str, str] | None = None,
@@ -62,7 +55,9 @@ class Operator(Agent):
 
         Args:
             env: The environment.
-            device: The device; the operator opens it in `open`, or at the first `reset`, and closes it.
+            device: The device, which the operator opens in `open`, or at the first `reset`, and closes; or the name of
+                an entry point of `rcs.inputs`, or `module:Class`, with an address after another colon, if there is a
+                choice, such as `spacemouse:/dev/hidraw0`.
             options: Scale, direction, smoothing and speeds; None for the usual ones.
             robots: The robot that each hand leads, by the name of the hand; None for hands and robots of the same name,
                 or for the only robot and the right hand. Robots that no hand leads stay where they are.
@@ -70,9 +65,9 @@ class Operator(Agent):
             has_thread: Whether a thread reads the device; see `Feed`.
 
         Raises:
-            InvalidSetup: Steps are synchronous or too rare, hands do not fit the robots, or a layer has given a robot
-                actions that only a policy can make.
-            UnknownName: There is no robot, or no hand, of this name.
+            InvalidSetup: Steps are synchronous or too rare, hands do not fit the robots, the device's address makes no
+                sense, or a layer has given a robot actions that only a policy can make.
+            UnknownName: There is no robot, no hand, or no device of this name.
         """
         if env.setup.stepping == "sync":
             raise InvalidSetup("A person leads a robot step by step; use stepping='realtime', not 'sync'.")
@@ -82,6 +77,7 @@ class Operator(Agent):
                 "that robots stop in time when the hand is lost. A policy may decide at a lower rate that divides it."
             )
         options = options or LeadOptions()
+        device = device_of(device)
         self.device = device
         """The device."""
         self.feed = Feed(device, clock=clock, has_thread=has_thread)
@@ -91,17 +87,15 @@ class Operator(Agent):
         self._clock = clock
         self._events: list[Event] = []
         self._led = _robots_of(env, device, robots)
-        self._hands: dict[str, Hand] = {}
-        self._others: dict[str, Guide] = {}
-        self._guides: dict[str, Guide] = {}
-        for name, robot in env.robots.items():
-            guide = Guide(env, robot, speed=options.speed, turn_speed=options.turn_speed)
-            self._guides[name] = guide
-            hand = next((hand for hand, own in self._led.items() if own == name), None)
-            if hand is None:
-                self._others[name] = guide
-            else:
-                self._hands[hand] = Hand(guide, options, period=1.0 / env.frequency, has_clutch=device.has_clutch)
+        self._guides = {
+            name: Guide(env, robot, speed=options.speed, turn_speed=options.turn_speed)
+            for name, robot in env.robots.items()
+        }
+        self._others = {name: guide for name, guide in self._guides.items() if name not in self._led.values()}
+        self._hands = {
+            hand: Hand(self._guides[robot], options, period=1.0 / env.frequency, has_clutch=device.has_clutch)
+            for hand, robot in self._led.items()
+        }
         self._latency = np.nan
         self._polled: float | None = None
 
@@ -251,8 +245,7 @@ class Operator(Agent):
 
     def _take_requests(self) -> None:
         for buttons in (*self.news.pressed.values(), self.news.requests):
-            requests: list[Event] = [REQUESTS[button] for button in buttons if button in REQUESTS]
-            self._events += requests
+            self._events += [button for button in buttons if button in REQUESTS]
 
 
 def notes_of(device: InputDevice | type[InputDevice], hands: Iterable[str] | None = None) -> list[Note]:
@@ -268,30 +261,11 @@ def notes_of(device: InputDevice | type[InputDevice], hands: Iterable[str] | Non
     return fields
 
 
-def operator_for(
-    env: Env, given: Any, *, options: LeadOptions | None = None, robots: Mapping[str, str] | None = None
-) -> Operator:
-    """Return the operator at a device.
-
-    Args:
-        env: The environment.
-        given: A device; or the name of an entry point of `rcs.inputs`, or `module:Class`, with an address after
-            another colon, if there is a choice.
-        options: As of `Operator`.
-        robots: As of `Operator`.
-
-    Raises:
-        UnknownName: There is no such device.
-        InvalidSetup: Its address makes no sense, or it does not fit the robots.
-    """
-    return Operator(env, device_of(given), options=options, robots=robots)
-
-
-def device_of(given: Any) -> InputDevice:
-    """Return the device of a name with an address, as `operator_for` takes it; nothing is connected."""
+def device_of(given: InputDevice | str) -> InputDevice:
+    """Return the device that is given to an operator, maybe by its name; nothing is connected."""
     if isinstance(given, InputDevice):
         return given
-    name, _, address = str(given).partition(":")
+    name, _, address = given.partition(":")
     if address and name not in lookup.names("input"):
         own, _, address = address.partition(":")
         name = f"{name}:{own}"

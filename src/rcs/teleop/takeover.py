@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from rcs.agents.agent import Agent, Event
 from rcs.agents.pace import Pace
@@ -13,7 +13,9 @@ from rcs.envs.observer import Note
 from rcs.envs.spaces import Action, Observation
 from rcs.envs.step.stack import for_all
 from rcs.errors import RcsError
-from rcs.teleop.operator import Actor, Operator
+from rcs.teleop.operator import Operator
+
+Actor = Literal["policy", "person"]
 
 
 class Takeover(Agent):
@@ -24,30 +26,28 @@ class Takeover(Agent):
     The note `actor` says who acted in each row. A policy that cannot begin leaves the robots to the person.
     """
 
-    def __init__(self, env: Env, policy: Agent, operator: Operator, *, begins: Actor = "policy") -> None:
+    def __init__(self, env: Env, policy: Agent, operator: Operator) -> None:
         """Prepare.
 
         Args:
             env: The environment.
             policy: Any agent.
             operator: The person.
-            begins: The actor at the beginning of an episode.
 
         Raises:
             InvalidSetup: The policy's rate does not divide the environment's, or its repeated actions would add up.
         """
-        self.actor: Actor = begins
+        self.actor: Actor = "policy"
         """The present actor."""
         self.operator = operator
         """The person."""
         self._pace = Pace(env, policy)
-        self._begins: Actor = begins
         self._events: list[Event] = []
         self._refusal: str | None = None
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Begin an episode with the actor that begins."""
-        self.actor = self._begins
+        """Begin an episode with the policy."""
+        self.actor = "policy"
         self.operator.reset(observation, info)
         self._begin_policy(observation, info)
 
