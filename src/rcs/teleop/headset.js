@@ -137,10 +137,10 @@ function makePanels() {
   const program = gl.createProgram();
   for (const [kind, text] of [
     [gl.VERTEX_SHADER, `#version 300 es
-      uniform mat4 toScreen, toSpace; uniform vec2 size; uniform vec2 middle; out vec2 at;
+      uniform mat4 projection, toEye, toSpace; uniform vec2 size; uniform vec2 middle; out vec2 at;
       void main() {
         at = vec2(gl_VertexID & 1, gl_VertexID >> 1);
-        gl_Position = toScreen * toSpace * vec4(middle + (at - 0.5) * size, 0, 1);
+        gl_Position = projection * toEye * toSpace * vec4(middle + (at - 0.5) * size, 0, 1);
       }`],
     [gl.FRAGMENT_SHADER, `#version 300 es
       precision mediump float; uniform sampler2D picture; in vec2 at; out vec4 colour;
@@ -153,8 +153,8 @@ function makePanels() {
   }
   gl.linkProgram(program);
   const uniform = (name) => gl.getUniformLocation(program, name);
-  return { program, place: null, toScreen: uniform("toScreen"), toSpace: uniform("toSpace"),
-    size: uniform("size"), middle: uniform("middle") };
+  return { program, place: null, projection: uniform("projection"), toEye: uniform("toEye"),
+    toSpace: uniform("toSpace"), size: uniform("size"), middle: uniform("middle") };
 }
 
 // The panels stand in front of where the person looks first, upright.
@@ -191,8 +191,8 @@ function show(frame, space) {
   for (const view of seen.views) {
     const { x, y, width, height } = layer.getViewport(view);
     gl.viewport(x, y, width, height);
-    const toScreen = product(view.projectionMatrix, view.transform.inverse.matrix);
-    gl.uniformMatrix4fv(panels.toScreen, false, toScreen);
+    gl.uniformMatrix4fv(panels.projection, false, view.projectionMatrix);
+    gl.uniformMatrix4fv(panels.toEye, false, view.transform.inverse.matrix);
     let at = -0.5 * (pictures.size - 1) * (PANEL.width + PANEL.gap);
     for (const picture of pictures.values()) {
       upload(picture);
@@ -202,14 +202,6 @@ function show(frame, space) {
       at += PANEL.width + PANEL.gap;
     }
   }
-}
-
-function product(a, b) { // of 4 × 4 matrices by columns
-  const found = new Float32Array(16);
-  for (let column = 0; column < 4; column++)
-    for (let row = 0; row < 4; row++)
-      for (let k = 0; k < 4; k++) found[4 * column + row] += a[4 * k + row] * b[4 * column + k];
-  return found;
 }
 
 element("login").onsubmit = (event) => {
