@@ -221,18 +221,6 @@ def test_a_frozen_camera_repeats_its_frame_until_it_is_restored(clock) -> None:
         assert camera.read().number == first.number + 30
 
 
-def test_a_camera_whose_cable_is_back_in_goes_on_after_recover(clock) -> None:
-    with FakeCamera(CameraMode(16, 4, 30.0), clock=clock) as camera:
-        camera.lose_link()
-        with pytest.raises(DeviceFault, match="the link is lost"):
-            camera.read()
-        with pytest.raises(DeviceFault, match="recover failed"):
-            camera.recover()
-        camera.restore()
-        camera.recover()
-        camera.read()
-
-
 def test_a_guided_fake_arm_stays_where_it_was_pushed(limits: ArmLimits, clock) -> None:
     with FakeArm(limits, clock=clock, start=np.zeros(3)) as arm:
         arm.command_joints(np.array([1.0, 1.0, 1.0]))

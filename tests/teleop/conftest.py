@@ -27,6 +27,12 @@ def escaped(data: bytes) -> bytes:
     )
 
 
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a certificate and a code of the test alone."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+
+
 @pytest.fixture
 def read_mocked(tmp_path: Path) -> Callable[..., list[dict[str, Any]]]:
     """Read a device in a process for which umockdev plays the kernel."""

@@ -11,7 +11,9 @@ from math import pi, tau
 from pathlib import Path
 from typing import Any
 
-from rcs.teleop.leader import LeaderCalibration
+from rcs.teleop.gello import gello
+from rcs.teleop.leader import Leader, LeaderCalibration
+from rcs.teleop.so101_leader import so101_leader
 
 STEP = tau / 4096
 COUNTS = {"feetech": 6, "dynamixel": 8}
@@ -60,3 +62,9 @@ def calibrated(port: str, **changes: Any) -> LeaderCalibration:
 def saved(calibration: LeaderCalibration, folder: Path) -> str:
     calibration.write(folder / "leader.json")
     return str(folder / "leader.json")
+
+
+def leader_at(bus: Bus, kind: str, folder: Path, *, torque: bool = False) -> Leader:
+    if kind == "feetech":
+        return so101_leader(bus.path, torque=torque)
+    return gello(saved(calibrated(bus.path), folder), torque=torque)

@@ -25,7 +25,7 @@ from rcs.robots.fr3 import FR3
 from rcs.robots.so101 import SO101
 from rcs.rollout.interactive.page_link import PageKeys, PageLink
 from rcs.spatial import distance
-from rcs.teleop import InputDevice, Keyboard, Operator, Quest, Reading, SpaceMouse, Vive, credentials, gello, vive_relay
+from rcs.teleop import Keyboard, Operator, Quest, Reading, SpaceMouse, Vive, credentials, gello, vive_relay
 from rcs.teleop.device_file import DeviceFile
 from rcs.teleop.headset_messages import decode
 from rcs.teleop.input_events import EVENT, HIGHEST, InputEvents
@@ -44,11 +44,6 @@ TOGETHER = 50
 
 
 @pytest.fixture(autouse=True)
-def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-
-
-@pytest.fixture(autouse=True)
 def quick_threads() -> Iterator[None]:
     """Have three threads that wait for each other 10⁵ times take seconds, not minutes."""
     before = sys.getswitchinterval()
@@ -57,7 +52,7 @@ def quick_threads() -> Iterator[None]:
     sys.setswitchinterval(before)
 
 
-def lead(device: InputDevice, send: Callable[[bool], bool], counted: Callable[[], int], *, robot: str = "fr3") -> None:
+def lead(device: Any, send: Callable[[bool], bool], counted: Callable[[], int], *, robot: str = "fr3") -> None:
     """Have a robot follow a hand that is still, then moves.
 
     Args:
@@ -76,7 +71,7 @@ def lead(device: InputDevice, send: Callable[[bool], bool], counted: Callable[[]
         def run() -> None:
             while send(False):
                 end = time.monotonic() + 20
-                while counted() < sent(device) and time.monotonic() < end:
+                while counted() < device.sent_damaged and time.monotonic() < end:
                     time.sleep(0.0005)
             is_sending.clear()
             while not has_ended.is_set():
@@ -105,10 +100,6 @@ def lead(device: InputDevice, send: Callable[[bool], bool], counted: Callable[[]
 def is_pressed(number: int, moved: float, begin: float) -> bool:
     """Return whether the clutch is: from the tenth message on, and by a hand that moves again and again."""
     return number > 10 if moved == 0.0 else (time.monotonic() - begin) % 1.0 > 0.2
-
-
-def sent(device: Any) -> int:
-    return device.sent_damaged
 
 
 def flood(device: Any, spoil: Callable[[], object], tell: Callable[[bool], object], together: int = TOGETHER) -> None:

@@ -18,9 +18,9 @@ from rcs.robots.fr3 import FR3
 from rcs.robots.so101 import SO101
 from rcs.teleop.calibrate_leader import calibrate_leader
 from rcs.teleop.gello import Answers, DynamixelBus, checksum, gello, packet
-from rcs.teleop.leader import Leader, LeaderCalibration
+from rcs.teleop.leader import LeaderCalibration
 from rcs.teleop.so101_leader import So101Bus, so101_leader, uncalibrated
-from tests.teleop.leaders import COUNTS, STEP, Bus, bus_of, calibrated, saved
+from tests.teleop.leaders import COUNTS, STEP, Bus, bus_of, calibrated, leader_at, saved
 
 # They need pyserial and Feetech's library, which `make test-hardware` installs.
 pytestmark = pytest.mark.hardware
@@ -38,10 +38,6 @@ def feetech() -> Iterator[Bus]:
 def dynamixel() -> Iterator[Bus]:
     with bus_of("dynamixel", 8) as bus:
         yield bus
-
-
-def leader_at(bus: Bus, kind: str, folder: Path) -> Leader:
-    return so101_leader(bus.path) if kind == "feetech" else gello(saved(calibrated(bus.path), folder))
 
 
 def joints_of(device: Any) -> np.ndarray:

@@ -19,9 +19,9 @@ import rcs
 from rcs.agents import Agent
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.robots.fr3 import FR3
-from rcs.teleop import Leader, Operator, Takeover, WithButtons, gello, so101_leader
+from rcs.teleop import Leader, Operator, Takeover, WithButtons, gello
 from rcs.teleop.leader import AHEAD, FRESH, PACE
-from tests.teleop.leaders import COUNTS, STEP, Bus, bus_of, calibrated, saved
+from tests.teleop.leaders import COUNTS, STEP, Bus, bus_of, calibrated, leader_at, saved
 from tests.teleop.scripted_device import ScriptedDevice, held
 
 # They need pyserial and Feetech's library, which `make test-hardware` installs.
@@ -32,12 +32,6 @@ pytest.importorskip("scservo_sdk", reason="an SO101 needs feetech-servo-sdk: pip
 KINDS = pytest.mark.parametrize("kind", ["feetech", "dynamixel"])
 MOST = {"feetech": 150, "dynamixel": 150}
 """Bounds of the torque, in units of the servos."""
-
-
-def leader_at(bus: Bus, kind: str, folder: Path, *, torque: bool = True) -> Leader:
-    if kind == "feetech":
-        return so101_leader(bus.path, torque=torque)
-    return gello(saved(calibrated(bus.path), folder), torque=torque)
 
 
 def show(device: Leader, joints: np.ndarray, state: str = "held") -> np.ndarray:
@@ -58,7 +52,7 @@ def joints_of(bus: Bus) -> set[str]:
 
 @KINDS
 def test_motors_stay_off_unless_torque_is_wanted(kind: str, tmp_path: Path) -> None:
-    with bus_of(kind, COUNTS[kind]) as bus, leader_at(bus, kind, tmp_path, torque=False) as device:
+    with bus_of(kind, COUNTS[kind]) as bus, leader_at(bus, kind, tmp_path) as device:
         device.open()
         before = device.read()
         assert before is not None
@@ -73,7 +67,7 @@ def test_motors_stay_off_unless_torque_is_wanted(kind: str, tmp_path: Path) -> N
 def test_a_leader_follows_the_robot_slowly_with_a_bounded_torque_and_its_gripper_is_free(
     kind: str, tmp_path: Path
 ) -> None:
-    with bus_of(kind, COUNTS[kind]) as bus, leader_at(bus, kind, tmp_path) as device:
+    with bus_of(kind, COUNTS[kind]) as bus, leader_at(bus, kind, tmp_path, torque=True) as device:
         device.open()
         first = device.read()
         assert first is not None
@@ -94,7 +88,7 @@ def test_a_leader_follows_the_robot_slowly_with_a_bounded_torque_and_its_gripper
 
 @KINDS
 def test_a_leader_that_is_held_is_not_pulled_harder_for_being_far(kind: str, tmp_path: Path) -> None:
-    with bus_of(kind, COUNTS[kind]) as bus, leader_at(bus, kind, tmp_path) as device:
+    with bus_of(kind, COUNTS[kind]) as bus, leader_at(bus, kind, tmp_path, torque=True) as device:
         device.open()
         first = device.read()
         assert first is not None
@@ -112,7 +106,7 @@ def test_a_leader_that_is_held_is_not_pulled_harder_for_being_far(kind: str, tmp
 def test_motors_are_off_while_the_person_leads_and_soon_after_nobody_says_where_the_robot_is(
     kind: str, tmp_path: Path
 ) -> None:
-    with bus_of(kind, COUNTS[kind]) as bus, leader_at(bus, kind, tmp_path) as device:
+    with bus_of(kind, COUNTS[kind]) as bus, leader_at(bus, kind, tmp_path, torque=True) as device:
         device.open()
         first = device.read()
         assert first is not None
@@ -133,7 +127,7 @@ def test_motors_are_off_while_the_person_leads_and_soon_after_nobody_says_where_
 
 @KINDS
 def test_motors_are_off_at_the_end_and_when_a_servo_does_not_answer(kind: str, tmp_path: Path) -> None:
-    with bus_of(kind, COUNTS[kind]) as bus, leader_at(bus, kind, tmp_path) as device:
+    with bus_of(kind, COUNTS[kind]) as bus, leader_at(bus, kind, tmp_path, torque=True) as device:
         for is_lost in (True, False):
             device.open()
             first = device.read()
@@ -193,7 +187,7 @@ def test_a_program_that_ends_leaves_no_motor_on(kind: str, is_killed: bool, tmp_
 
 
 def test_a_servo_whose_current_cannot_be_bounded_is_refused_and_nothing_is_on(tmp_path: Path) -> None:
-    with bus_of("dynamixel", COUNTS["dynamixel"]) as bus, leader_at(bus, "dynamixel", tmp_path) as device:
+    with bus_of("dynamixel", COUNTS["dynamixel"]) as bus, leader_at(bus, "dynamixel", tmp_path, torque=True) as device:
         bus.tell(modeless=True)
         device.open()
         with pytest.raises(DeviceFault, match="leave out the torque"):

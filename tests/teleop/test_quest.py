@@ -32,11 +32,6 @@ IWER = Path(__file__).parents[2] / "build" / "npm" / "package" / "build" / "iwer
 """A WebXR runtime for tests, by Meta; `make test-extras` fetches it."""
 
 
-@pytest.fixture(autouse=True)
-def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-
-
 @pytest.fixture
 def quest() -> Iterator[Quest]:
     with Quest("127.0.0.1:0") as device:

@@ -55,11 +55,6 @@ PAGE = """
 """
 
 
-@pytest.fixture(autouse=True)
-def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-
-
 @contextmanager
 def program(*words: str, lines: int = 0) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Run the other end; give it with the first line that it prints, if it prints one."""

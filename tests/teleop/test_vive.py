@@ -27,11 +27,6 @@ STILL = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 MENU, GRIP, PAD = 1 << 1, 1 << 2, 1 << 32
 
 
-@pytest.fixture(autouse=True)
-def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-
-
 def wand(hand: int = RIGHT, buttons: int = 0, **changes: Any) -> Tracked:
     values = {"is_tracked": True, "matrix": STILL, "trigger": 0.0, "pad": (0.0, 0.0), **changes}
     return Tracked(hand=hand, buttons=buttons, **values)
