@@ -99,11 +99,8 @@ class InputDevice(Closing, ABC):
     """Whether one of its buttons may mean `takeover`."""
     motion: Motion = ("pose", 7)
     """Which of `pose`, `twist` and `joints` its readings have, and of how many numbers, for recordings."""
-
-    @property
-    def instructions(self) -> str:
-        """Instructions for the person once the device is open, such as the address of a page; empty for nothing."""
-        return ""
+    instructions: str = ""
+    """Instructions for the person once the device is open, such as the address of a page; empty for nothing."""
 
     @abstractmethod
     def open(self) -> None:

@@ -29,10 +29,6 @@ SPEED, SLOWEST, FASTEST = 0.1, 0.01, 0.25
 """Velocity at first, and its bounds [m/s]."""
 TURN = 5.0
 """Rotational velocity per velocity [rad/m]."""
-INSTRUCTIONS = (
-    "w s, a d, r f move; o u, i k, j l turn; space: gripper; - =: speed; enter: take begins or ends; y n: success, "
-    "failure; backspace: discard; b: next episode; p: take over; escape: stop"
-)
 KNOWN = frozenset({*MOTIONS, *MEANINGS, *FASTER, SLOWER})
 TOGETHER = 6
 """Most keys of motion at once; more mean something lies on the keyboard."""
@@ -43,6 +39,10 @@ class Keyboard(InputDevice):
 
     valid_for = 0.15
     motion: Motion = ("twist", 6)
+    instructions = (
+        "w s, a d, r f move; o u, i k, j l turn; space: gripper; - =: speed; enter: take begins or ends; y n: success, "
+        "failure; backspace: discard; b: next episode; p: take over; escape: stop"
+    )
 
     def __init__(self, address: str | None = None, *, keys: Keys | None = None) -> None:
         """Remember which keyboard.
@@ -62,11 +62,6 @@ class Keyboard(InputDevice):
         self._last, self._unknown = 0.0, 0
         self.speed = SPEED
         """Velocity while a key is held [m/s]."""
-
-    @property
-    def instructions(self) -> str:
-        """The keys."""
-        return INSTRUCTIONS
 
     def open(self) -> None:
         """Open it; faults as in `InputDevice.open`."""

@@ -92,11 +92,6 @@ class WithButtons(InputDevice):
         """Buttons that have to be released before they count."""
         self._requests: list[Button] = []
 
-    @property
-    def instructions(self) -> str:
-        """Those of both."""
-        return "\n".join(own for own in (self._device.instructions, self._second.device.instructions) if own)
-
     def open(self) -> None:
         """Open both; faults as in `InputDevice.open`."""
         self._second.open()
@@ -105,6 +100,7 @@ class WithButtons(InputDevice):
         except BaseException:
             self._second.close()
             raise
+        self.instructions = "\n".join(filter(None, (self._device.instructions, self._second.device.instructions)))
 
     def read(self) -> Reading | None:
         """Return the next reading of the first device, with the buttons of the second."""

@@ -53,17 +53,13 @@ class Quest(InputDevice):
         self.url = ""
         """Address to open in the headset, with the code; empty while closed."""
 
-    @property
-    def instructions(self) -> str:
-        """Where to go with the headset."""
-        return self.url and f"Open {self.url} in the headset's browser, and accept its certificate."
-
     def open(self) -> None:
         """Serve the page, with a certificate that is made at first use; faults as in `InputDevice.open`."""
         code = credentials.code()
         server = HeadsetServer(self._host, self._port, code, credentials.tls())
         host = credentials.own_addresses()[0] if self._host == "0.0.0.0" else self._host
         self.url = f"https://{host}:{server.port}/#{code}"
+        self.instructions = f"Open {self.url} in the headset's browser, and accept its certificate."
         self._opened.put(server)
         self._shown = Feedback(server)
 
@@ -93,7 +89,7 @@ class Quest(InputDevice):
 
     def close(self) -> None:
         """End the page and its connections."""
-        shown, self._shown, self.url = self._shown, None, ""
+        shown, self._shown, self.url, self.instructions = self._shown, None, "", ""
         if shown is not None:
             shown.must_end()
         self._opened.close()

@@ -68,13 +68,7 @@ class Vive(InputDevice):
         """
         self._listens_at = None if address is None else address_of(address, PORT)
         self._opened = Opened["_SteamVr | _Relay"]("Vive")
-        self._instructions = ""
         self._presses: dict[int, Button] = {}
-
-    @property
-    def instructions(self) -> str:
-        """Command to run on the other machine; empty without one."""
-        return self._instructions
 
     def open(self) -> None:
         """Connect to SteamVR, or await the relay; faults as in `InputDevice.open`."""
@@ -87,7 +81,7 @@ class Vive(InputDevice):
         relay = _Relay(host, port, code)
         self._opened.put(relay)
         own = credentials.own_addresses()[0] if host == "0.0.0.0" else host
-        self._instructions = f"On the machine with SteamVR: python vive_relay.py {own}:{relay.port} {code}"
+        self.instructions = f"On the machine with SteamVR: python vive_relay.py {own}:{relay.port} {code}"
 
     def read(self) -> Reading | None:
         """Return what is tracked, 125 times a second at most; None while there is no news."""
@@ -101,7 +95,7 @@ class Vive(InputDevice):
     def close(self) -> None:
         """Disconnect."""
         self._opened.close()
-        self._instructions = ""
+        self.instructions = ""
 
 
 class _SteamVr:
