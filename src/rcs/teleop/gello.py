@@ -23,7 +23,7 @@ from rcs.teleop.leader import Leader, LeaderCalibration
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
-PING, READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x03, 0x55, 0x82, 0x83
+READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE = 0x02, 0x03, 0x55, 0x82, 0x83
 MODE, TORQUE, WATCHDOG, GOAL_CURRENT, GOAL, POSITION, POSITION_SIZE = 11, 64, 98, 102, 116, 132, 4
 """Registers of the X series."""
 BY_CURRENT = 5

@@ -67,7 +67,7 @@ class Vive(InputDevice):
             InvalidSetup: The address is none.
         """
         self._listens_at = None if address is None else address_of(address, PORT)
-        self._opened = Opened["_SteamVr | _Relay"]("Vive")
+        self._opened = Opened[_SteamVr | _Relay]("Vive")
         self._presses: dict[int, Button] = {}
 
     def open(self) -> None:
