@@ -1,5 +1,4 @@
 from rcs.teleop.calibrate_leader import calibrate_leader as calibrate_leader
-from rcs.teleop.device import BUTTONS as BUTTONS
 from rcs.teleop.device import Button as Button
 from rcs.teleop.device import HandReading as HandReading
 from rcs.teleop.device import InputDevice as InputDevice
