@@ -13,7 +13,7 @@ import pytest
 
 import rcs
 from rcs.calibration import Board
-from rcs.cli.calibrate.session import SessionOptions, _ask
+from rcs.cli.calibrate.camera import SessionOptions, _ask
 from rcs.cli.main import main
 from rcs.devices.fakes import FakeArm
 from rcs.envs.planner_for import planner_for
@@ -132,9 +132,9 @@ def test_ways_are_checked_against_the_other_arms_where_they_are(
     arms = {name: f"{__name__}:Away:{name}" for name in ("left", "right")}
     site = rcs.Site(arms=arms, grippers=dict.fromkeys(arms, "fake"), cameras={"right_wrist": "fake"})
     site.write(tmp_path / "site.json")
-    monkeypatch.setattr("rcs.cli.calibrate.session.FreePath", lambda twin, robot: planner_for(twin, "left").joints)
+    monkeypatch.setattr("rcs.cli.calibrate.camera.FreePath", lambda twin, robot: planner_for(twin, "left").joints)
     given: list[Any] = []
-    monkeypatch.setattr("rcs.cli.calibrate.session.look_around", lambda *_, is_free, **__: given.append(is_free))
+    monkeypatch.setattr("rcs.cli.calibrate.camera.look_around", lambda *_, is_free, **__: given.append(is_free))
     options = SessionOptions(robot="dual_fr3", camera="right_wrist", hardware=str(tmp_path / "site.json"))
     strategy: Any = None
     with options.session(options.setup()) as (_, _, look):

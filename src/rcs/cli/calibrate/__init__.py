@@ -1,6 +1,6 @@
 """Print a board of AprilTags, find how a camera sees and where it is, and check that it still is there.
 
-Each verb has a file; this is their table.
+This is the table of its verbs.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from rcs_data.cli.program import Table
 
 VERBS: Table = {
     "board": "rcs.cli.calibrate.board:BoardCommand",
-    "intrinsics": "rcs.cli.calibrate.intrinsics:IntrinsicsCommand",
-    "hand-eye": "rcs.cli.calibrate.hand_eye:HandEyeCommand",
-    "check": "rcs.cli.calibrate.check:CheckCommand",
+    "intrinsics": "rcs.cli.calibrate.camera:IntrinsicsCommand",
+    "hand-eye": "rcs.cli.calibrate.camera:HandEyeCommand",
+    "check": "rcs.cli.calibrate.camera:CheckCommand",
     "leader": "rcs.cli.calibrate.leader:LeaderCommand",
 }
