@@ -28,9 +28,8 @@ from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import EpisodeResult
 from rcs.rollout.evaluate import evaluate
 from rcs.rollout.evaluation import Evaluation, Summary
-from rcs.rollout.gpus import own_gpu
 from rcs.rollout.logbook import Logbook, condition_of
-from rcs.rollout.serving import serving
+from rcs.rollout.serving import own_gpu, serving
 from tests.rollout.staying import claimed
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

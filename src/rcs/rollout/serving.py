@@ -1,15 +1,20 @@
-"""Servers of policies and simulators that are started for an evaluation, and ended with it."""
+"""Servers of policies and simulators that are started for an evaluation, and ended with it.
+
+Each has a port, and one of several GPUs, to itself.
+"""
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shlex
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
@@ -18,7 +23,6 @@ from rcs.errors import InvalidSetup, RcsError
 from rcs.policy import ServedPolicy
 from rcs.policy.agent import TOKEN
 from rcs.policy.interface import vlagents
-from rcs.rollout.gpus import VARIABLE, first_free, own_gpu
 
 T = TypeVar("T")
 
@@ -26,6 +30,9 @@ PATIENCE = 180.0
 """How long a server may take until it answers [s]: large weights are read from a slow disk."""
 PORTS = range(20_000, 32_768)
 """Ports of servers, below those that the system chooses by itself: the first free one, so that few locks are needed."""
+VARIABLE = "CUDA_VISIBLE_DEVICES"
+"""Environment variable that names the GPUs that a program sees."""
+_KNOWN = Path("/proc/driver/nvidia/gpus")
 _PAUSE, _GRACE = 0.2, 10.0
 _TOLD = 15
 """Lines of a server's output that are shown when it fails."""
@@ -170,3 +177,54 @@ def _free_ports() -> Iterator[str]:
             except OSError:
                 continue
         yield str(port)
+
+
+def gpus() -> list[str]:
+    """Return the names of the GPUs that this program sees, as `CUDA_VISIBLE_DEVICES` has them."""
+    if (given := os.environ.get(VARIABLE)) is not None:
+        return [name.strip() for name in given.split(",") if name.strip()]
+    return [str(number) for number, _ in enumerate(_KNOWN.iterdir())] if _KNOWN.is_dir() else []
+
+
+@contextmanager
+def own_gpu() -> Generator[str | None]:
+    """Yield a GPU that no other program of this user has taken here; one is given back at the end, or with its program.
+
+    None where there are not several, or all are taken.
+    """
+    names = gpus()
+    with first_free("gpus", names if len(names) > 1 else ()) as found:
+        yield found
+
+
+@contextmanager
+def first_free(kind: str, names: Iterable[str]) -> Generator[str | None]:
+    """Yield the first name that no other program of this user has taken here; it is given back as in `own_gpu`.
+
+    None where all are taken.
+
+    Args:
+        kind: Kind of things that have the names, such as `gpus`.
+        names: Their names; no more of them are taken than are needed.
+    """
+    folder = Path(tempfile.gettempdir(), f"rcs-{kind}-{os.getuid()}")
+    found: str | None = None
+    lock = -1
+    try:
+        for name in names:
+            folder.mkdir(mode=0o700, exist_ok=True)
+            lock = os.open(
+                folder / name.replace("/", "-"), os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600
+            )
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                os.close(lock)
+                lock = -1
+            else:
+                found = name
+                break
+        yield found
+    finally:
+        if lock >= 0:
+            os.close(lock)

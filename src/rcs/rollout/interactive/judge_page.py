@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from rcs.envs.env import Env
 from rcs.envs.ports.camera import CameraPort
 from rcs.envs.spaces import FRAMES, RGB, Observation
-from rcs.rollout.interactive.markdown import as_line
-from rcs.rollout.interactive.page import Page
+from rcs.rollout.interactive.page import Page, as_line
 from rcs.rollout.outlines import Outlines
 from rcs.rollout.person import UNDO
 

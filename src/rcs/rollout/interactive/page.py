@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import html
 import io
 import ipaddress
+import re
 import socket
 from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, Self
@@ -24,6 +26,9 @@ LOCAL = "127.0.0.1"
 
 AMBIENT = 0.5
 """Ambient light in proportion to viser's own, with which light colours come out white."""
+
+_SPECIAL = re.compile(r"[\\`*_{}\[\]()#+\-.!|~]")
+"""Characters that may mean something in Markdown; those of HTML are replaced before."""
 
 
 class Page(Closing):
@@ -143,6 +148,14 @@ def run_script(client: Any, script: str) -> None:
     from viser._messages import RunJavascriptMessage
 
     client._websock_connection.queue_message(RunJavascriptMessage(source=script))
+
+
+def as_line(words: object) -> str:
+    """Return words as Markdown that shows just these, in one line: no HTML, no links, no emphasis.
+
+    Words of others may have them, and browsers take HTML in Markdown, and scripts in it, for what they are.
+    """
+    return _SPECIAL.sub(r"\\\g<0>", html.escape(" ".join(str(words).split()), quote=False))
 
 
 class _LoopEvent(asyncio.Event):

@@ -11,7 +11,7 @@ import numpy as np
 
 from rcs.agents import Event
 from rcs.agents.guide import Guide
-from rcs.rollout.interactive.markdown import as_line
+from rcs.rollout.interactive.page import as_line
 from rcs.rollout.interactive.session import Session
 from rcs.sim.browser_scene import BrowserScene
 from rcs.spatial import wxyz_to_xyzw, xyzw_to_wxyz

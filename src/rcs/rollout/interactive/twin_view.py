@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rcs.envs.observers.twin import Twin
-from rcs.rollout.interactive.markdown import as_line
-from rcs.rollout.interactive.page import Page
+from rcs.rollout.interactive.page import Page, as_line
 from rcs.sim.browser_scene import BrowserScene
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.timed_world import TimedWorld

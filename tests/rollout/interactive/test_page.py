@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from rcs.rollout.interactive.markdown import as_line
+from rcs.rollout.interactive.page import as_line
 
 
 def test_html_is_shown_and_not_rendered() -> None:
