@@ -26,7 +26,7 @@ from rcs.rollout.episode import EpisodeResult
 from rcs.rollout.evaluate import evaluate, film
 from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.logbook import differs
-from rcs.rollout.recorded_films import cut_films
+from rcs.rollout.video import cut_films
 
 ENDING = "Ending after the running episodes; press Ctrl-C again to end at once."
 """Message at the first Ctrl-C."""

@@ -1,9 +1,9 @@
-"""Videos of environments, as H.264 that browsers and players show; nothing has to be installed for them."""
+"""Videos of environments and recordings, as H.264 that browsers and players show; nothing has to be installed."""
 
 from __future__ import annotations
 
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,14 @@ from typing import Any
 import av
 import numpy as np
 from numpy.typing import NDArray
-from rcs_data.files.durable import sync_folder
+from rcs_data import Dataset
+from rcs_data.files.durable import disk_errors, sync_folder
+from rcs_data.ledger import Ledger, Row
 
 from rcs.envs.env import Env
 from rcs.envs.observer import Observer, Transition
 from rcs.errors import InvalidSetup
+from rcs.rollout.collection import episode_id
 from rcs.sim.camera import Quality
 from rcs.sim.viewer import Picture
 
@@ -123,3 +126,45 @@ class Film(Observer):
         """Free the renderer. Closing twice is harmless."""
         if self._picture is not None:
             self._picture.close()
+
+
+def cut_films(recording: Path, ledger: Ledger, condition: str, most: int) -> list[Row]:
+    """Make films of episodes from the images of the first colour camera of their recording; failures come first.
+
+    It is for real episodes, which cannot be run again to be filmed.
+
+    Args:
+        recording: The dataset in which they were recorded.
+        ledger: The ledger.
+        condition: The hash of their condition.
+        most: How many episodes shall have a film, with those that have one.
+
+    Returns:
+        The rows of the episodes that have got one: those that are not recorded get none.
+
+    Raises:
+        InvalidSetup: The recording has no colour camera.
+        DatasetError: The disk fails.
+        CorruptEpisode: The recording is damaged.
+    """
+    dataset = Dataset.open(recording)
+    cameras = [feature.key for feature in dataset.info.features if feature.colour is not None]
+    if not cameras:
+        raise InvalidSetup(f"{recording} has no colour camera, so nothing to cut films from.")
+    rows = sorted(ledger.of(condition), key=lambda row: (row.success is not False, row.seed))[:most]
+    made: list[Row] = []
+    for row in rows:
+        path = ledger.film(row)
+        # One that a kill has interrupted is there, too, but earlier.
+        found = [one for one in dataset if f"{one.id[len(episode_id(0)) + 1 :]}-".startswith(f"{row.name}-")]
+        if path.is_file() or not found:
+            continue
+        with (
+            disk_errors("write a film", path),
+            new_film(path) as draft,
+            closing(Video(draft, rate=dataset.info.frequency)) as video,
+        ):
+            for image in found[-1].frames(cameras[0]):
+                video.add(image)
+        made.append(row)
+    return made
