@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import os
-import pty
-import select
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +12,7 @@ from rcs.agents import Agent, PickExpert
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup
-from rcs.rollout.episode import Answer, play, read_line, run_episode
+from rcs.rollout.episode import Answer, play, run_episode
 
 
 class Wait(Agent):
@@ -197,19 +194,3 @@ def test_all_devices_hold_when_a_caller_stops_early() -> None:
     robot = env.simulation.robots[0]
     np.testing.assert_array_equal(robot._memory[: len(robot.joints)], robot.joints)
     env.close()
-
-
-def test_a_line_that_was_typed_before_a_question_does_not_answer_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    keyboard, terminal = pty.openpty()
-
-    def read(_: str) -> str:
-        os.write(keyboard, b"n\n")
-        return lines.readline().strip()
-
-    with os.fdopen(terminal) as lines:
-        monkeypatch.setattr("sys.stdin", lines)
-        monkeypatch.setattr("builtins.input", read)
-        os.write(keyboard, b"y\n")
-        assert select.select([terminal], [], [], 5.0)[0], "it has arrived"
-        assert read_line("Is the way free?") == "n"
-    os.close(keyboard)

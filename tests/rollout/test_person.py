@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import select
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,7 @@ from rcs_data.ledger import Ledger
 import rcs
 from rcs.errors import Refused
 from rcs.rollout import Answer, Evaluation, Outlines, PersonJudge, Summary, evaluate
-from rcs.rollout.person import answer_in, ask_at_terminal
+from rcs.rollout.person import answer_in, ask_at_terminal, read_line
 from tests.rollout.staying import SETUP, Stay
 
 
@@ -29,6 +32,22 @@ from tests.rollout.staying import SETUP, Stay
 )  # fmt: skip
 def test_a_line_is_a_verdict_and_then_stages_tags_and_words(line: str, answer: Answer | None) -> None:
     assert answer_in(line) == answer
+
+
+def test_a_line_that_was_typed_before_a_question_does_not_answer_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    keyboard, terminal = pty.openpty()
+
+    def read(_: str) -> str:
+        os.write(keyboard, b"n\n")
+        return lines.readline().strip()
+
+    with os.fdopen(terminal) as lines:
+        monkeypatch.setattr("sys.stdin", lines)
+        monkeypatch.setattr("builtins.input", read)
+        os.write(keyboard, b"y\n")
+        assert select.select([terminal], [], [], 5.0)[0], "it has arrived"
+        assert read_line("Is the way free?") == "n"
+    os.close(keyboard)
 
 
 def test_a_line_that_is_no_text_is_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:

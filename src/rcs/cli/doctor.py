@@ -68,15 +68,17 @@ class DoctorCommand:
     def _examine(self, path: Path) -> int:
         from rcs.cli.home import robot_of
         from rcs.cli.virtual import read_setup
-        from rcs.rollout.episode import read_line
-        from rcs.rollout.examine import examine, read_site, setup_for
+        from rcs.rollout.examine import examine, setup_for
         from rcs.rollout.exercise import move
+        from rcs.rollout.person import agrees
 
         if self.move and not self.yes and not sys.stdin.isatty():
             raise InvalidSetup("The input is no terminal, so nobody can be asked; give --yes where somebody watches.")
         if self.page is not None:
             require_writable(self.page, is_file=True)
-        site = read_site(path)
+        site = Site.read(path)
+        if not any(getattr(site, kind) for kind in KINDS):
+            raise InvalidSetup(f"{path} has no devices.")
         if self.setup is None:
             setup = setup_for(self.robot or robot_of(site), self.end_effector)
         elif self.robot is None and self.end_effector is None:
@@ -94,7 +96,7 @@ class DoctorCommand:
 
             def ask(question: str) -> bool:
                 with redirect_stdout(sys.stderr if self.json else sys.stdout):  # the output is JSON alone
-                    return self.yes or read_line(f"{question} [y]es, [n]o: ").strip().lower() in ("y", "yes")
+                    return self.yes or agrees(question)
 
             found += move(site, setup, ask)
         if self.page is not None:

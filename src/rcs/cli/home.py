@@ -13,7 +13,7 @@ from rcs.envs.setup import Setup
 from rcs.envs.step.approach import SPEED
 from rcs.errors import InvalidSetup, Refused
 from rcs.hardware.site import Site
-from rcs.rollout.episode import read_line
+from rcs.rollout.person import agrees
 from rcs.setups.lab import lab_of
 from rcs.setups.make import make
 
@@ -49,14 +49,11 @@ class HomeCommand:
             task="Free", robot=self.robot or robot_of(site), end_effector=self.end_effector, max_episode_steps=None
         )
 
-        def ask(question: str) -> bool:
-            return read_line(f"{question} [y]es, [n]o: ").strip().lower() in ("y", "yes")
-
         with make(setup, hardware=site) as env:
             home = {name: {"joints": list(env.robots[name].arm.home)} for name in site.arms}
             robot = home if len(env.robots) > 1 else home[next(iter(env.robots))]
             try:
-                env.reset(options={"robot": robot, "may_move": True if self.yes else ask, "speed": self.speed})
+                env.reset(options={"robot": robot, "may_move": True if self.yes else agrees, "speed": self.speed})
             except Refused as err:
                 console.print(str(err))
                 return 1

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import sys
-import termios
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -17,7 +14,7 @@ from rcs.agents import Agent, Pace
 from rcs.envs.env import Env
 from rcs.envs.spaces import Observation
 from rcs.envs.step.judge import DIVERGED, FAULT
-from rcs.errors import Refused, SimulationError
+from rcs.errors import SimulationError
 
 OPEN = 0.5
 """A gripper command of at least this opens."""
@@ -250,20 +247,6 @@ def randomisation_of(env: Env) -> dict[str, Any]:
     """Return the outcome's entry about the randomisation of the present episode; empty if there is none."""
     drawn = {field: values.tolist() for field, values in env.simulation.randomisation.items()}
     return {"randomisation": drawn} if drawn else {}
-
-
-def read_line(question: str) -> str:
-    """Return a line that the person at the terminal answers; what was typed before the question is no answer to it.
-
-    Raises:
-        Refused: The input has ended.
-    """
-    with contextlib.suppress(OSError, termios.error):  # no terminal, such as a pipe
-        termios.tcflush(sys.stdin, termios.TCIFLUSH)
-    try:
-        return input(question)
-    except EOFError as err:
-        raise Refused("The input has ended; run the command at a terminal.") from err
 
 
 def is_open(action: Mapping[str, Any], copies: int | None = None) -> NDArray[np.bool_]:

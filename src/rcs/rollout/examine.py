@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -251,15 +250,3 @@ def _fault(part: str, err: Exception, usual: str = LOOK_AT_IT) -> Finding:
     message = str(err)
     remedy = message.rpartition(": ")[2] if isinstance(err, MissingDependency) else _remedy(message, usual)
     return Finding(part=part, status="fault", message=message, remedy=remedy)
-
-
-def read_site(path: Path) -> Site:
-    """Read a site of addresses.
-
-    Raises:
-        InvalidSetup: The file is not that of a site, or the site is empty.
-    """
-    site = Site.read(path)
-    if not any(getattr(site, kind) for kind in KINDS):
-        raise InvalidSetup(f"{path} has no devices.")
-    return site

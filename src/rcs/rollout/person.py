@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import sys
+import termios
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from rcs.envs.env import Env
 from rcs.envs.spaces import Observation
 from rcs.errors import Refused
-from rcs.rollout.episode import Answer, read_line
+from rcs.rollout.episode import Answer
 from rcs.rollout.outlines import Outlines
 
 VERDICTS: Mapping[str, bool | None] = {"y": True, "yes": True, "n": False, "no": False, "?": None}
@@ -22,6 +24,25 @@ _TRIES = 10
 Asker = Callable[[str, Observation, int | None], str]
 """Asks a question, and returns a line. Also given are the last observation, and the seed of the episode whose objects
 are to be put in place meanwhile; None if there is none."""
+
+
+def read_line(question: str) -> str:
+    """Return a line that the person at the terminal answers; what was typed before the question is no answer to it.
+
+    Raises:
+        Refused: The input has ended.
+    """
+    with contextlib.suppress(OSError, termios.error):  # no terminal, such as a pipe
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+    try:
+        return input(question)
+    except EOFError as err:
+        raise Refused("The input has ended; run the command at a terminal.") from err
+
+
+def agrees(question: str) -> bool:
+    """Return whether the person at the terminal answers a question with yes; raises as `read_line`."""
+    return read_line(f"{question} [y]es, [n]o: ").strip().lower() in ("y", "yes")
 
 
 def ask_at_terminal(question: str, observation: Observation, seed: int | None) -> str:

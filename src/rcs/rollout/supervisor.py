@@ -14,9 +14,9 @@ from rcs.envs.setup import Setup
 from rcs.envs.spaces import Observation
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.hardware.site import DeviceAddress, Site
-from rcs.rollout.episode import Answer, read_line
+from rcs.rollout.episode import Answer
 from rcs.rollout.outlines import in_words
-from rcs.rollout.person import PersonJudge
+from rcs.rollout.person import PersonJudge, agrees, read_line
 from rcs.setups.make import site_of
 from rcs.virtual.control import running, tell
 from rcs.virtual.virtual_world import ABOUT, JUDGE, LOOK, VERDICTS
@@ -68,7 +68,7 @@ class TerminalSupervisor(Supervisor):
 
     def may_move(self, question: str) -> bool:
         """Ask once."""
-        self._agrees = self._agrees or _agrees(f"Before every episode, and now: {question}")
+        self._agrees = self._agrees or agrees(f"Before every episode, and now: {question}")
         return self._agrees
 
     def place(self, seed: int, poses: Mapping[str, NDArray[np.float64]]) -> None:
@@ -80,7 +80,7 @@ class TerminalSupervisor(Supervisor):
     def look(self, poses: Mapping[str, NDArray[np.float64]]) -> Mapping[str, NDArray[np.float64]] | None:
         """Ask."""
         places = "; ".join(f"the {name} at {in_words(pose)}" for name, pose in poses.items())
-        return poses if _agrees(f"The robot has put {places}. Does it lie there?") else None
+        return poses if agrees(f"The robot has put {places}. Does it lie there?") else None
 
     def judge(self, observation: Observation, info: Mapping[str, Any]) -> Answer:
         """Ask."""
@@ -89,7 +89,7 @@ class TerminalSupervisor(Supervisor):
     def may_recover(self, faults: str) -> bool:
         """Ask."""
         self._agrees = self._always_agrees
-        return _agrees(f"{faults} Look at the robot. Clear the fault, and make this episode again?")
+        return agrees(f"{faults} Look at the robot. Clear the fault, and make this episode again?")
 
 
 class VirtualSupervisor(Supervisor):
@@ -168,7 +168,3 @@ def _options(setup: Setup) -> dict[str, Any]:
 
 def _task(setup: Setup) -> str:
     return f"{setup.task} {setup.task_options or ''}".rstrip()
-
-
-def _agrees(question: str) -> bool:
-    return read_line(f"{question} [y]es, [n]o: ").strip().lower() in ("y", "yes")

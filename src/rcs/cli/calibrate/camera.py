@@ -22,7 +22,7 @@ from rcs.errors import InvalidSetup
 from rcs.extras import package_of
 from rcs.robots.camera import Calibration
 from rcs.rollout.calibrate import FreePath, Tour, look_around
-from rcs.rollout.episode import read_line
+from rcs.rollout.person import read_line
 from rcs.setups.board_setup import ShowBoardOptions, board_setup
 from rcs.setups.calibration import KnownBoard, read_calibration, write_calibration
 from rcs.setups.mounted_camera import MountedCamera

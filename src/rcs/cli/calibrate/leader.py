@@ -14,7 +14,7 @@ from rcs_data.files.output import require_writable
 from rcs.devices import lookup
 from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription
-from rcs.rollout.episode import read_line
+from rcs.rollout.person import read_line
 from rcs.teleop.calibrate_leader import calibrate_leader
 from rcs.teleop.gello import DynamixelBus
 from rcs.teleop.leader import LeaderBus, LeaderCalibration
