@@ -15,12 +15,12 @@ from rcs_data.files.output import require_writable
 from rcs_data.ledger import Ledger, Row, write_ledger_page
 from rcs_data.ledger.compare import compare
 from rcs_data.ledger.ledger import FILMS_FOLDER, LEDGER_FILE
+from rcs_data.options import require_whole
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from rcs.agents.agent import is_path
-from rcs.errors import InvalidSetup
 from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import EpisodeResult
 from rcs.rollout.evaluate import evaluate, film
@@ -48,8 +48,7 @@ class PoolOptions:
         Raises:
             InvalidSetup: The number of workers is negative.
         """
-        if self.workers < 0:
-            raise InvalidSetup(f"workers is {self.workers}; valid is 0 (one per core) and more.")
+        require_whole("workers", self.workers)
         return self.workers if self.ray else min(self.workers or os.cpu_count() or 1, max(episodes, 1))
 
 
@@ -79,8 +78,7 @@ class LedgerOptions:
             InvalidSetup: `videos` is below 0.
             DatasetError: The folder cannot be written.
         """
-        if self.videos < 0:
-            raise InvalidSetup(f"videos is {self.videos}; valid is 0 and more.")
+        require_whole("videos", self.videos)
         require_writable(self.out)
         given = {own.name: getattr(self, own.name) for own in fields(self) if own.name != "videos"}
         return {**given, "tags": self.tags or {}}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -17,8 +17,8 @@ from typing import Any
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord
 from rcs_data.files.feature import Colour
 from rcs_data.files.output import new_output
+from rcs_data.options import require_whole
 
-from rcs.agents import Agent
 from rcs.envs.assemble import assemble, compose
 from rcs.envs.env import Env
 from rcs.envs.episode_random import EpisodeRandom
@@ -27,8 +27,7 @@ from rcs.envs.observers.recorder import Recorder
 from rcs.envs.parts import Parts
 from rcs.envs.setup import Setup
 from rcs.envs.variation.randomiser import Randomiser
-from rcs.errors import InvalidSetup
-from rcs.rollout.episode import Step, play, randomisation_of
+from rcs.rollout.episode import randomisation_of
 from rcs.rollout.pool import WorkerPool
 from rcs.rollout.recorded_setup import RECORDED, VISUAL
 from rcs.setups.make import resolve
@@ -141,18 +140,6 @@ class EpisodeMaker:
         with self.recorder.discard_on_error():
             return self.recipe.make(self, episode)
 
-    def play(self, episode: EpisodeRecord, agent: Agent, start: Mapping[str, Any], most: int) -> Generator[Step]:
-        """Run an agent from a given start, record that under the recorded episode's id, and yield every step.
-
-        Args:
-            episode: The recorded episode.
-            agent: The agent.
-            start: Options of the reset.
-            most: Largest number of steps.
-        """
-        self.recorder.name_next(episode.id, instruction=episode.instruction)
-        yield from play(self.env, agent, seed=episode.seed, options=start, max_steps=most)
-
     def outcome(self, episode: EpisodeRecord, more: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the outcome's entries about randomisation and source of an episode.
 
@@ -188,8 +175,7 @@ def derive(recipe: Derivation, out: Path, info: DatasetInfo, workers: int) -> It
         InvalidSetup: The number of workers is not valid, or an episode cannot be made.
         DatasetError, CorruptEpisode: A dataset cannot be read or written, or `out` is not empty.
     """
-    if not isinstance(workers, int) or workers < 0:  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise InvalidSetup(f"workers is {workers!r}; valid is 0 (one per core) and more.")
+    require_whole("workers", workers)
     numbers = range(len(Dataset.open(recipe.source)))
     processes = min(workers or os.cpu_count() or 1, max(len(numbers), 1))
     with new_output(out) as folder, DatasetWriter.open(folder, info):

@@ -43,17 +43,21 @@ def condition_of(evaluation: Evaluation, identity: Identity, env: Env | None = N
         UnknownName: The setup names something that is not there.
         InvalidSetup: Its parts do not fit each other.
     """
-    setup, own, models, software = evaluation.setup, list[str](), dict[str, str](), versions()
+    setup, own, files, software = evaluation.setup, list[str](), dict[str, str](), versions()
     if evaluation.simulator is None:
         setup = with_camera_names(setup)
         parts = resolve(setup)  # before anything is written
-        own, models = list(_modules(setup, parts)), _models(parts)
+        own, files = list(_modules(setup, parts)), _models(parts)
     if identity.trained is not None and not identity.policy:  # a network in this process: other sums, other actions
         for name in ("torch", "stable-baselines3"):
             with contextlib.suppress(importlib.metadata.PackageNotFoundError):  # the agent says what it lacks
                 software[name] = importlib.metadata.version(name)
     if identity.policy or evaluation.simulator is not None:
         software["rcs-vlagents"] = importlib.metadata.version("rcs-vlagents")
+    if (path := setup.cameras.calibration) is not None:  # its content may change
+        files["cameras.calibration"] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    if env is not None and env.site is not None:  # of real devices, the platform has the drivers alone
+        files["site"] = env.site
     platform = {} if env is None else env.platform
     return Condition(
         agent=evaluation.name or identity.name,
@@ -67,20 +71,9 @@ def condition_of(evaluation: Evaluation, identity: Identity, env: Env | None = N
         setup=setup.to_json(),
         platform={name: driver for name, driver in platform.items() if driver != "simulation"},
         tags=evaluation.tags,
-        code={**code_of([*identity.modules, *own]), **models, **_files(setup), **_site(env)},
+        code={**code_of([*identity.modules, *own]), **files},
         versions=software,
     )
-
-
-def _files(setup: Setup) -> dict[str, str]:
-    """Return the hashes of files that a setup names, whose contents may change."""
-    path = setup.cameras.calibration
-    return {} if path is None else {"cameras.calibration": hashlib.sha256(Path(path).read_bytes()).hexdigest()}
-
-
-def _site(env: Env | None) -> dict[str, str]:
-    """Return the hash of what a site says of real devices, whose drivers alone are in the platform."""
-    return {} if env is None or env.site is None else {"site": env.site}
 
 
 def _described(parts: Parts) -> list[Description]:
@@ -214,8 +207,9 @@ class Logbook(Closing):
                 "run it again to evaluate the new ones."
             )
         if attempt.is_lost and not self.condition.is_real:
+            words = "its message is hidden" if self._is_blind else attempt.result.message
             raise RcsError(
-                f"The policy was lost: {self._words(attempt)}. Episode {attempt.number} is left out; start the "
+                f"The policy was lost: {words}. Episode {attempt.number} is left out; start the "
                 "server, and run the same again to go on."
             )
         condition, result = self.condition, attempt.result
@@ -264,9 +258,6 @@ class Logbook(Closing):
         self.add(corrected, row.corrections + 1)
         self.pairs, self._compared, self._is_decided = Pairs(), 0, False  # counted anew
         return corrected
-
-    def _words(self, attempt: Attempt) -> str:
-        return "its message is hidden" if self._is_blind else str(attempt.result.message)
 
     def is_decided(self, summary: Summary) -> bool:
         """Return whether the episodes so far decide between this agent and the other one.

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from rcs_data.files.closing import Closing
 from rcs_data.files.durable import remove_tree, write_file
 from rcs_data.files.output import temporary_folder
+from rcs_data.options import require_whole
 
 from rcs.agents.agent import is_path
 from rcs.envs.observers.dataset_info import versions
@@ -73,8 +74,7 @@ class RayPool(Closing):
             RcsError: There is no cluster at the address.
             OSError: The checkpoint cannot be read.
         """
-        if workers < 0:
-            raise InvalidSetup(f"workers is {workers}; valid is 0 and more.")
+        require_whole("workers", workers)
         files: Files = {}
         if is_path(agent):
             checkpoint = Path(agent).resolve()

@@ -25,7 +25,7 @@ from rcs.envs.observers.dataset_info import ACTION, OBJECTS, require_recordable
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.rollout.derived_dataset import Derivation, EpisodeMaker, derive
-from rcs.rollout.episode import Step
+from rcs.rollout.episode import Step, play
 from rcs.rollout.recorded_motion import RecordedMotion, find_states
 from rcs.rollout.recorded_setup import physics_of, require_rate, require_states, seen_as, setup_of
 from rcs.rollout.replay import recorded
@@ -176,7 +176,8 @@ def _executed(maker: EpisodeMaker, episode: EpisodeRecord, plan: _Plan, only_suc
     agent, start, most, compare = plan
     errors: dict[str, list[float]] = {}
     last: Step | None = None
-    with closing(maker.play(episode, agent, start, most)) as steps:
+    maker.recorder.name_next(episode.id, instruction=episode.instruction)
+    with closing(play(maker.env, agent, seed=episode.seed, options=start, max_steps=most)) as steps:
         for last in steps:
             for name, error in compare(last).items():
                 errors.setdefault(name, []).append(error)
