@@ -16,14 +16,12 @@ from rcs.agents import Agent, agent_for
 from rcs.agents.script import Script
 from rcs.devices.fakes import FakeArm
 from rcs.envs import Action, Gate, Observation
-from rcs.envs.observer import Note
 from rcs.errors import DeviceFault, InvalidSetup, RcsError, Refused
 from rcs.hardware import FakeDriver, Site
 from rcs.robots.description import ArmDescription
 from rcs.robots.fr3 import FR3
 from rcs.rollout.collect import collect
 from rcs.rollout.collection import Collection, Progress
-from rcs.rollout.real_episodes import _Informed
 from rcs.rollout.supervisor import VirtualSupervisor, supervisor_of
 from rcs.virtual import VirtualProcess
 
@@ -260,17 +258,6 @@ def test_an_episode_in_which_the_policy_was_lost_is_left_out_and_the_same_goes_o
     say("yes", "", "y")
     progress = run(plan(tmp_path / "data"))
     assert (progress.found, progress.kept) == (1, 2)
-
-
-def test_an_agent_that_knows_the_objects_says_the_same_as_the_one_inside() -> None:
-    class Gone(Nod):
-        weights, is_lost, latencies, failure, note_fields = "w", True, (0.5,), "policy", (Note("n"),)
-
-    with rcs.make(SETUP) as env:
-        inside = Gone(env)
-    informed: Agent = _Informed(inside, 1.0)
-    for name in ("rate", "weights", "is_lost", "latencies", "failure", "failure_message", "note_fields"):
-        assert getattr(informed, name) == getattr(inside, name), name
 
 
 def test_more_than_one_process_is_refused(tmp_path: Path) -> None:

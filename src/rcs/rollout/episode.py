@@ -109,6 +109,8 @@ def play(
     seed: int | None = None,
     options: Mapping[str, Any] | None = None,
     max_steps: int | None = None,
+    known: Mapping[str, Any] | None = None,
+    is_over: Callable[[], bool] | None = None,
 ) -> Generator[Step]:
     """Run an agent until the episode is over, and yield the reset and every step.
 
@@ -122,18 +124,20 @@ def play(
         seed: Seed of the reset.
         options: Options of the reset.
         max_steps: Largest number of steps, besides the environment's limit; None for no limit.
+        known: Further entries of the info that the agent gets, in every step.
+        is_over: Called after every step; if it returns True, that is like the event `stop`.
 
     Raises:
         InvalidSetup: The agent's rate does not divide the environment's, or its repeated actions would add up.
     """
-    pace = Pace(env, agent)
+    pace, more = Pace(env, agent), dict(known or {})
     observation, info = env.reset(seed=seed, options=options)
     step = Step(row=0, observation=observation, info=info, stages=_most(None, info), is_over=max_steps == 0)
     try:
-        pace.reset(observation, info)
+        pace.reset(observation, {**info, **more})
         yield step
         while not step.is_over:
-            action = pace.act(step.observation, step.info)
+            action = pace.act(step.observation, {**step.info, **more})
             env.note(**pace.notes())
             observation, reward, terminated, truncated, info = env.step(action)
             step = Step(
@@ -145,7 +149,7 @@ def play(
                 stages=_most(step.stages, info),
                 is_over=terminated or truncated or step.row + 1 == max_steps,
             )
-            if not step.is_over and "stop" in agent.events():
+            if not step.is_over and ("stop" in agent.events() or (is_over is not None and is_over())):
                 step = replace(step, is_over=True)
                 env.hold()
             yield step
@@ -162,6 +166,8 @@ def run_episode(
     options: Mapping[str, Any] | None = None,
     judge: Judge | None = None,
     max_steps: int | None = None,
+    known: Mapping[str, Any] | None = None,
+    is_over: Callable[[], bool] | None = None,
 ) -> EpisodeResult:
     """Run one episode, at the end of which all real devices hold; all devices hold after an error or Ctrl-C.
 
@@ -172,6 +178,8 @@ def run_episode(
         options: Options of the reset.
         judge: Returns whether the task was done, in the place of the task; not called after a fault.
         max_steps: Largest number of steps, besides the environment's limit; None for no limit.
+        known: Further entries of the info that the agent gets, in every step.
+        is_over: Called after every step; if it returns True, that is like the event `stop`.
 
     Raises:
         InvalidSetup: The agent's rate does not divide the environment's, its repeated actions would add up, or
@@ -181,7 +189,8 @@ def run_episode(
         require_whole("max_steps", max_steps, 1)
     step: Step | None = None
     try:
-        for step in play(env, agent, seed=seed, options=options, max_steps=max_steps):  # noqa: B007  the last one counts
+        steps = play(env, agent, seed=seed, options=options, max_steps=max_steps, known=known, is_over=is_over)
+        for step in steps:  # noqa: B007  the last one counts
             pass
     except SimulationError as err:
         if env.is_simulated:  # here, and not by another project

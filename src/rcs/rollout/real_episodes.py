@@ -6,19 +6,17 @@ them down near there (`placing`). Nothing is simulated after that: the agent get
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents import Agent
-from rcs.agents.agent import Event
 from rcs.agents.script import Script
 from rcs.envs.env import Env
-from rcs.envs.observer import Note
+from rcs.envs.observer import Observer, Transition
 from rcs.envs.observers.dataset_info import OBJECTS
-from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Action, Observation
+from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT
 from rcs.envs.step.approach import SPEED
 from rcs.envs.step.judge import FAULT
 from rcs.errors import DeviceFault, Refused
@@ -33,8 +31,8 @@ MORE = 0.5
 """Additional time [s]: a verdict looks once per step, and objects settle."""
 
 
-class RealEpisodes:
-    """Makes episodes in an environment with real arms."""
+class RealEpisodes(Observer):
+    """Makes episodes in an environment with real arms, which it observes."""
 
     def __init__(self, env: Env, agent: Agent, supervisor: Supervisor, *, speed: float = SPEED) -> None:
         """Prepare; nothing moves.
@@ -49,12 +47,18 @@ class RealEpisodes:
         self._scene = SeededScene(env.setup)
         self._placer = Placer(env, self._scene) if is_placed_by_robot(env.setup) else None
         self._is_held = False
-        holding = float(getattr(self._scene.task.options, "hold_time", HOLDING)) + MORE
-        self._agent = _Informed(agent, holding)
+        self._holding = float(getattr(self._scene.task.options, "hold_time", HOLDING)) + MORE
+        self._agent = agent
+        self._known: dict[str, Any] = {}
         self._objects: Poses = {}
         self._placed: dict[str, Any] = {}
         self._fault: DeviceFault | None = None
         """The fault that ended the last episode; a gate that stopped it leaves no device in its fault state."""
+        self._grasp: NDArray[np.float64] | None = None
+        """Pose of the TCP where the gripper was commanded to close last, (7,); None before, and with several robots."""
+        self._was_open = True
+        self._seen: NDArray[np.float64] | None = None
+        env.add_observer(self)
 
     @property
     def outcome(self) -> dict[str, Any]:
@@ -76,20 +80,26 @@ class RealEpisodes:
         if self._placed["by"] != "robot":
             self._objects = self._scene.poses(seed)
             self._supervisor.place(seed, self._objects)
-        self._agent.known = self._scene.describe(self._objects)
+        self._known = self._scene.describe(self._objects)
 
     def run(self, seed: int) -> EpisodeResult:
         """Make the episode that was prepared."""
-        result = run_episode(self._env, self._agent, seed=seed, judge=self._supervisor.judge)
+        result = run_episode(
+            self._env, self._agent, seed=seed, judge=self._supervisor.judge, known=self._known, is_over=self._is_over
+        )
         self._is_held = result.success is True
         is_fault = result.success is None and result.failure == FAULT  # not a judge's tag
         self._fault = DeviceFault(f"The episode ended as a fault: {result.message}.") if is_fault else None
         return result
 
+    def _is_over(self) -> bool:
+        """Return whether nothing more will happen, since a script has given up or been at its last goal long enough."""
+        return isinstance(self._agent, Script) and self._agent.is_over(self._holding)
+
     def _set_down(self, seed: int) -> SetDown | None:
         """Have the robot set the object in its gripper down; None if it has none, or is not to."""
         is_held, self._is_held = self._is_held, False
-        if self._placer is None or not is_held or (grasp := self._agent.grasp) is None:
+        if self._placer is None or not is_held or (grasp := self._grasp) is None:
             return None
         question = f"The robot sets the {self._placer.name} down, where its next episode begins. Is the way free?"
         if not self._supervisor.may_move(question):
@@ -132,66 +142,27 @@ class RealEpisodes:
             except DeviceFault as err:
                 fault = err
 
+    def on_reset(self, first: Transition, seed: int | None) -> None:
+        """Forget the grasp."""
+        self._grasp, self._was_open, self._seen = None, True, _tcp_in(first)
+
+    def on_step(self, transition: Transition) -> None:
+        """Remember where the gripper was commanded to close."""
+        assert transition.action is not None, "it is a step"
+        was_open, self._was_open = self._was_open, bool(is_open(transition.action))
+        if was_open and not self._was_open:
+            self._grasp = self._seen
+        self._seen = _tcp_in(transition)
+
     def close(self) -> None:
-        """Close the simulated scene."""
+        """Close the simulated scene. Closing twice is harmless."""
         self._scene.close()
 
 
-class _Informed(Agent):
-    """An agent with the objects' poses at the start; a script also stops when it is over."""
-
-    def __init__(self, agent: Agent, holding: float) -> None:
-        self._agent, self._holding = agent, holding
-        self.rate = agent.rate
-        self.known: Mapping[str, Any] = {}
-        self.grasp: NDArray[np.float64] | None = None
-        """Pose of the TCP where the gripper was commanded to close last, (7,); None before, and with several robots."""
-        self._was_open = True
-
-    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        self.grasp, self._was_open = None, True
-        self._agent.reset(observation, {**info, **self.known})
-
-    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
-        action = self._agent.act(observation, {**info, **self.known})
-        was_open, self._was_open = self._was_open, bool(is_open(action))
-        if was_open and not self._was_open and TQUAT in observation:
-            self.grasp = np.array(observation[TQUAT])
-        return action
-
-    def close(self) -> None:
-        self._agent.close()
-
-    @property
-    def weights(self) -> str | None:
-        return self._agent.weights
-
-    @property
-    def is_lost(self) -> bool:
-        return self._agent.is_lost
-
-    @property
-    def latencies(self) -> Sequence[float]:
-        return self._agent.latencies
-
-    @property
-    def failure(self) -> str | None:
-        return self._agent.failure
-
-    @property
-    def failure_message(self) -> str | None:
-        return self._agent.failure_message
-
-    @property
-    def note_fields(self) -> Sequence[Note]:
-        return self._agent.note_fields
-
-    def notes(self) -> Mapping[str, Any]:
-        return self._agent.notes()
-
-    def events(self) -> Sequence[Event]:
-        is_over = isinstance(self._agent, Script) and self._agent.is_over(self._holding)
-        return [*self._agent.events(), *(("stop",) if is_over else ())]
+def _tcp_in(transition: Transition) -> NDArray[np.float64] | None:
+    """Return the observed pose of the TCP, (7,); None if there is none, or there are several robots."""
+    pose = transition.observation.get(TQUAT)
+    return None if pose is None else np.array(pose)
 
 
 def has_real_arms(env: Env) -> bool:
