@@ -21,6 +21,7 @@ from rcs_data.files.durable import sync_folder
 from rcs_data.files.layout import EPISODES_FOLDER
 
 from rcs.agents import agent_for
+from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.record import recorder_of
@@ -147,14 +148,12 @@ def collect(
             supervisor = None
         elif supervisor is None:
             supervisor = supervisor_of(collection.setup, collection.hardware)
-        agent = agent_for(env, collection.agent)
-        try:
+        with closing(agent_for(env, collection.agent)) as agent:
             notes = agent.note_fields
-        finally:
-            agent.close()
         info = dataset_info(env, colour=collection.colour, jpeg_quality=collection.jpeg_quality, notes=notes)
         # Two collections are the same only if they number and seed episodes alike.
-        made = {"seed": collection.seed, "only_success": collection.only_success, "agent": collection.agent_name}
+        actor = None if collection.agent is None else lookup.name_of("agent", collection.agent)
+        made = {"seed": collection.seed, "only_success": collection.only_success, "agent": actor}
         info = replace(info, origin={**info.origin, "collection": made})
         with DatasetWriter.open(collection.out, info, resume=True, leftovers="discard") as writer:
             progress.again = _remove_fragments(writer)

@@ -10,7 +10,6 @@ import numpy as np
 from rcs_data.files.feature import Colour
 from rcs_data.options import require_whole
 
-from rcs.devices import lookup
 from rcs.envs.observers.dataset_info import require_recordable
 from rcs.envs.setup import Setup
 from rcs.envs.step.approach import SPEED
@@ -90,11 +89,6 @@ class Collection(Kept):
         if self.most_attempts is not None:
             return self.most_attempts
         return _MOST_WITHOUT_SUCCESS if kept == 0 else max(_MOST_WITHOUT_SUCCESS, _MOST_PER_EPISODE * self.episodes)
-
-    @property
-    def agent_name(self) -> str | None:
-        """Name of the agent; None for the expert of the task."""
-        return None if self.agent is None else lookup.name_of("agent", self.agent)
 
     def seed_of(self, attempt: int) -> int:
         """Return the seed of an attempt; collections with different seeds share none."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, nullcontext
 from dataclasses import fields, replace
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -191,9 +192,10 @@ def evaluate(
             env.close()
         raise
     with nullcontext() if book is None else book:
+        numbers: Iterator[int] = takewhile(lambda _: not summary.is_interrupted, evaluation.numbers)
         if book is not None:
             book.take(summary)
-        numbers = _numbers(evaluation, summary) if book is None else book.missing(summary)
+            numbers = book.missing(summary)
         if isinstance(judge, PersonJudge):
             numbers = _announced(evaluation, summary, numbers, judge, book, env)
         is_alone = (evaluation.workers == 1 and evaluation.ray is None) or env is not None or judge is not None
@@ -364,10 +366,3 @@ def _elsewhere(
 def _remote_worker(evaluation: Evaluation, condition: str, has_films: bool, folder: Path, agent: Any) -> Evaluator:
     """Return a worker on another machine."""
     return Evaluator(replace(evaluation, agent=agent), condition, films=folder / FILMS_FOLDER if has_films else None)
-
-
-def _numbers(evaluation: Evaluation, summary: Summary) -> Iterator[int]:
-    for number in evaluation.numbers:
-        if summary.is_interrupted:
-            return
-        yield number

@@ -10,6 +10,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -371,11 +372,8 @@ class ForeignEnv(Env):
 
 def setup_of_simulator(simulator: ForeignSimulator) -> Setup:
     """Return the setup of a simulator, which is started for a moment; raises as `ForeignEnv`."""
-    env = ForeignEnv(simulator)
-    try:
+    with closing(ForeignEnv(simulator)) as env:
         return env.setup
-    finally:
-        env.close()
 
 
 def _setup(connection: Connection, simulator: ForeignSimulator) -> Setup:

@@ -1,7 +1,7 @@
 """A pool of worker processes, each with its own worker object that maps numbers to results.
 
-Workers die with their parent (on Linux by a signal, elsewhere when their pipe closes), so that no writer outlives the
-lock on its dataset. Only the parent handles Ctrl-C: workers finish their present number, unless it ends the pool.
+Workers die with their parent, so that no writer outlives the lock on its dataset. Only the parent handles Ctrl-C:
+workers finish their present number, unless it ends the pool.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import atexit
 import os
 import signal
-import sys
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -107,9 +106,6 @@ class _Process:
 @contextmanager
 def _without_interrupts() -> Generator[None]:
     """Hold Ctrl-C back while processes are started: they begin with it blocked, until they ignore it themselves."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
     # Python starts this process with the first worker, and then lets Ctrl-C through again.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -121,8 +117,7 @@ def _without_interrupts() -> Generator[None]:
 
 def _start(make: Callable[[], Worker], parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     _die_with(parent)
     # The pool has one process per core; Mesa's own threads would only get in the way.
     os.environ["LP_NUM_THREADS"] = "1"
@@ -139,8 +134,6 @@ def _attempt(number: int) -> Any:
 
 def _die_with(parent: int) -> None:
     """Make Linux kill this process when its parent dies."""
-    if sys.platform != "linux":
-        return
     import ctypes
 
     pr_set_pdeathsig = 1  # linux/prctl.h

@@ -118,8 +118,7 @@ def reexecute(
             raise err if setup is not None else InvalidSetup(f"{err} Or give a setup with a robot and a task.") from err
     make = partial(_execute, kind=kind, only_success=only_success, grace=grace)
     recipe = Derivation(kind=kind, source=Path(source), physics=physics, setup=setup, looks_seed=looks_seed, make=make)
-    env, _ = recipe.open()
-    try:
+    with closing(recipe.open()[0]) as env:
         if kind == "states":
             names = sorted(env.simulation.task.object_poses())
             if names and not any(OBJECTS in episode.outcome for episode in dataset.episodes):
@@ -129,8 +128,6 @@ def reexecute(
                 )
             find_states(dataset.info, env.simulation.robots, setup.binary_gripper)
         info = recipe.info(env, dataset.info)
-    finally:
-        env.close()
     yield from derive(recipe, Path(out), info, workers)
 
 

@@ -61,15 +61,12 @@ def replay(path: str | Path, *, trust: Collection[str] = ()) -> Iterator[ReplayR
     setup = dataclasses.replace(physics_of(dataset, trust=trust), assets="builtin")
     require_rate(dataset, setup)
     # Neither cameras nor their appearance change the physics, and without frames a replay is ten times faster.
-    env = assemble(resolve(setup), is_blind=True)
-    try:
+    with closing(assemble(resolve(setup), is_blind=True)) as env:
         own = env.simulation.world.core.state_size
         for episode in dataset.episodes:
             if dataset.info.sim_state_size != own:
                 raise InvalidSetup(of_another_simulation(dataset.info.sim_state_size or 0, own))
             yield replay_episode(env, episode)
-    finally:
-        env.close()
 
 
 def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -69,11 +70,8 @@ def rerender(
     recipe = Derivation(
         kind="render", source=Path(source), physics=physics, setup=setup, looks_seed=looks_seed, make=_render
     )
-    env, _ = recipe.open()
-    try:
+    with closing(recipe.open()[0]) as env:
         fresh = recipe.info(env, dataset.info, has_recorded_states=True)
-    finally:
-        env.close()
     yield from derive(recipe, Path(out), _info(dataset.info, fresh), workers)
 
 

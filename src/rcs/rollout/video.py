@@ -19,7 +19,6 @@ from rcs.envs.env import Env
 from rcs.envs.observer import Observer, Transition
 from rcs.errors import InvalidSetup
 from rcs.rollout.collection import episode_id
-from rcs.sim.camera import Quality
 from rcs.sim.viewer import Picture
 
 
@@ -81,13 +80,12 @@ class Film(Observer):
     For another project's simulator, these are the images of its cameras.
     """
 
-    def __init__(self, env: Env, *, size: tuple[int, int] = (640, 480), quality: Quality = "fast") -> None:
+    def __init__(self, env: Env, *, size: tuple[int, int] = (640, 480)) -> None:
         """Look at an environment; nothing is drawn outside of `into`.
 
         Args:
             env: The environment; it needs no `render_mode`.
             size: Width and height [px].
-            quality: How much a picture may cost.
 
         Raises:
             InvalidSetup: The environment is real devices alone.
@@ -95,7 +93,7 @@ class Film(Observer):
         if not env.is_simulated and env.render_mode is None:
             raise InvalidSetup("Real devices have no picture to film; record them, and `rcs data view` shows frames.")
         self._env = env
-        self._picture = Picture(env.simulation.world, size=size, quality=quality) if env.is_simulated else None
+        self._picture = Picture(env.simulation.world, size=size) if env.is_simulated else None
         self._video: Video | None = None
 
     @contextmanager
