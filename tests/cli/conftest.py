@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,6 +33,21 @@ def call_unwrapped(call: Callable[..., tuple[int, str]]) -> Callable[..., tuple[
         return code, " ".join(told.split())
 
     return run
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def answer(monkeypatch: pytest.MonkeyPatch) -> Callable[[str | None], None]:
+    """Return a function that has a person at a terminal type lines; with None, the input is no terminal."""
+
+    def give(lines: str | None) -> None:
+        monkeypatch.setattr("sys.stdin", io.StringIO() if lines is None else _Terminal(lines))
+
+    return give
 
 
 @pytest.fixture(scope="module")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import pytest
 from rcs_data import Dataset
 
 from rcs.agents import Agent
-from rcs.cli.main import main
 from rcs.envs import Action, Env, Observation
 from rcs.hardware import Site
 
@@ -35,40 +33,25 @@ class Stay(Agent):
         return ("stop",) if self._steps >= 5 else ()
 
 
-class Terminal(io.StringIO):
-    """A person at a terminal."""
+@pytest.fixture
+def collect(call: Callable[..., tuple[int, str]], answer: Callable[[str | None], None], tmp_path: Path) -> Any:
+    """Return a function that runs `rcs collect` on fakes, with lines for its questions."""
 
-    def isatty(self) -> bool:
-        return True
+    def run(*arguments: str, lines: str | None) -> tuple[int, str]:
+        site = {"arms": {"fr3": "fake:a"}, "grippers": {"fr3": "fake:a"}, "cameras": {"wrist": "fake:b"}}
+        Site(**site, arm_stale_after=60.0).write(tmp_path / "site.json")
+        answer(lines)
+        words = ["PickCuboid", "--hardware", tmp_path / "site.json", "--episodes", "2", "--agent", f"{__name__}:Stay"]
+        return call("collect", *words, "--out", tmp_path / "data", "--no-report", *arguments)
 
-
-def call(
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    folder: Path,
-    *arguments: str,
-    answers: str | None = None,
-) -> tuple[int, str]:
-    """Run `rcs collect` on fakes, with answers for its questions; None for no terminal."""
-    site = {"arms": {"fr3": "fake:a"}, "grippers": {"fr3": "fake:a"}, "cameras": {"wrist": "fake:b"}}
-    Site(**site, arm_stale_after=60.0).write(folder / "site.json")
-    monkeypatch.setattr("sys.stdin", io.StringIO() if answers is None else Terminal(answers))
-    words = ["PickCuboid", "--hardware", str(folder / "site.json"), "--episodes", "2", "--agent", f"{__name__}:Stay"]
-    with pytest.raises(SystemExit) as stopped:
-        main(["collect", *words, "--out", str(folder / "data"), "--no-report", *arguments])
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out + captured.err
+    return run
 
 
 @pytest.mark.parametrize(("words", "first"), [((), "y\n"), (("--yes",), "")])
 def test_a_person_at_the_terminal_makes_a_dataset_with_the_cameras_of_the_site(
-    words: tuple[str, ...],
-    first: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...], first: str, collect: Any, tmp_path: Path
 ) -> None:
-    code, text = call(capsys, monkeypatch, tmp_path, "--home-speed", "1", *words, answers=f"{first}\ny\n\nmaybe\nn\n")
+    code, text = collect("--home-speed", "1", *words, lines=f"{first}\ny\n\nmaybe\nn\n")
     assert code == 0, text
     assert ("Is the way free?" in text) is bool(first)
     assert len(re.findall(r"Put the cuboid at x 0\.\d{3} m", text)) == 2
@@ -82,7 +65,7 @@ def test_a_person_at_the_terminal_makes_a_dataset_with_the_cameras_of_the_site(
 
 
 @pytest.mark.parametrize(
-    ("words", "answers", "match"),
+    ("words", "lines", "match"),
     [
         ((), None, "The input is no terminal"),
         ((), "n\n", "nobody agreed"),
@@ -92,14 +75,9 @@ def test_a_person_at_the_terminal_makes_a_dataset_with_the_cameras_of_the_site(
     ],
 )
 def test_what_makes_no_sense_is_refused_and_nothing_is_recorded(
-    words: tuple[str, ...],
-    answers: str | None,
-    match: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...], lines: str | None, match: str, collect: Any, tmp_path: Path
 ) -> None:
-    code, text = call(capsys, monkeypatch, tmp_path, *words, answers=answers)
+    code, text = collect(*words, lines=lines)
     assert code == 1
     assert match in " ".join(text.split())
     assert not (tmp_path / "data").exists() or not Dataset.open(tmp_path / "data").episodes

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import json
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -92,13 +91,6 @@ class LabDriver(FakeDriver):
                 return frame
 
         return Camera(mode)
-
-
-class Terminal(io.StringIO):
-    """A person at a terminal."""
-
-    def isatty(self) -> bool:
-        return True
 
 
 @pytest.fixture
@@ -248,7 +240,10 @@ def test_a_lab_with_another_hand_or_cameras_of_its_own_is_examined(
 
 
 def test_it_moves_after_a_question_only(
-    site: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    site: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    answer: Callable[[str | None], None],
 ) -> None:
     assert ended(["doctor", "--site", str(site), "--seconds", "0.3", "--move"]) != 0, "nobody can be asked"
     assert LabDriver.commands == 0
@@ -259,7 +254,7 @@ def test_it_moves_after_a_question_only(
     assert any("9 clauses of the contract kept; moved by 0.05 rad at 5 %" in one["message"] for one in found)
     assert LabDriver.commands > 0
     LabDriver.commands = 0
-    monkeypatch.setattr("sys.stdin", Terminal("n\n"))
+    answer("n\n")
     code, found = examined(site, capsys, "--move")
     assert LabDriver.commands == 0
     assert any(one["message"].startswith("nothing moved, because nobody agreed to this: Move every") for one in found)
@@ -275,9 +270,9 @@ def test_with_a_fault_nothing_moves_and_that_is_told(site: Path, capsys: pytest.
 
 
 def test_an_input_that_ends_at_the_question_ends_the_command(
-    site: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    site: Path, capsys: pytest.CaptureFixture[str], answer: Callable[[str | None], None]
 ) -> None:
-    monkeypatch.setattr("sys.stdin", Terminal(""))
+    answer("")
     assert ended(["doctor", "--site", str(site), "--seconds", "0.7", "--move"]) == 1
     assert "The input has ended" in " ".join(capsys.readouterr().err.split())
     assert LabDriver.commands == 0

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from rcs.cli.main import main
 from rcs.devices.fakes import FakeArm
 from rcs.hardware import FakeDriver, Site
 from rcs.robots.description import ArmDescription
@@ -30,49 +28,32 @@ class Elsewhere(FakeDriver):
         return arm
 
 
-class Terminal(io.StringIO):
-    """A person at a terminal."""
+@pytest.fixture
+def go_home(call: Callable[..., tuple[int, str]], answer: Callable[[str | None], None], tmp_path: Path) -> Any:
+    """Return a function that runs `rcs home` on a site of arms that stand elsewhere, with lines for its question."""
 
-    def isatty(self) -> bool:
-        return True
+    def run(*arguments: str, arms: tuple[str, ...] = ("fr3",), lines: str | None = None) -> tuple[int, str]:
+        made.clear()
+        driver = f"{__name__}:Elsewhere"
+        site = Site(arms={name: f"{driver}:{name}" for name in arms}, cameras={"wrist": "fake"}, arm_stale_after=60.0)
+        site.write(tmp_path / "site.json")
+        answer(lines)
+        return call("home", "--site", tmp_path / "site.json", "--end-effector", "none", *arguments)
 
-
-def call(
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    folder: Path,
-    *arguments: str,
-    arms: tuple[str, ...] = ("fr3",),
-    answer: str | None = None,
-) -> tuple[int, str]:
-    """Run `rcs home` on a site of arms that stand elsewhere, with an answer for its question; None for no terminal."""
-    made.clear()
-    driver = f"{__name__}:Elsewhere"
-    site = Site(arms={name: f"{driver}:{name}" for name in arms}, cameras={"wrist": "fake"}, arm_stale_after=60.0)
-    site.write(folder / "site.json")
-    monkeypatch.setattr("sys.stdin", io.StringIO() if answer is None else Terminal(answer))
-    with pytest.raises(SystemExit) as stopped:
-        main(["home", "--site", str(folder / "site.json"), "--end-effector", "none", *arguments])
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out + captured.err
+    return run
 
 
 @pytest.mark.parametrize(
-    ("arms", "words", "answer"),
+    ("arms", "words", "lines"),
     [(("fr3",), ("--yes",), None), (("fr3",), (), "y\n"), (("left", "right"), ("--yes",), None)],
 )
 def test_all_arms_go_home_when_somebody_agrees(
-    arms: tuple[str, ...],
-    words: tuple[str, ...],
-    answer: str | None,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    arms: tuple[str, ...], words: tuple[str, ...], lines: str | None, go_home: Any
 ) -> None:
-    code, text = call(capsys, monkeypatch, tmp_path, "--speed", "1", *words, arms=arms, answer=answer)
+    code, text = go_home("--speed", "1", *words, arms=arms, lines=lines)
     assert code == 0, text
     assert f"At home: {', '.join(arms)}" in text
-    assert ("Is the way free? [y]es, [n]o:" in text) is (answer is not None)
+    assert ("Is the way free? [y]es, [n]o:" in text) is (lines is not None)
     assert len(made) == len(arms)
     for arm in made:
         np.testing.assert_allclose(arm.body.values, HOME, atol=1e-6)
@@ -80,7 +61,7 @@ def test_all_arms_go_home_when_somebody_agrees(
 
 
 @pytest.mark.parametrize(
-    ("words", "answer", "code", "match"),
+    ("words", "lines", "code", "match"),
     [
         ((), "n\n", 1, "nobody agreed"),
         ((), "\n", 1, "nobody agreed"),
@@ -91,24 +72,16 @@ def test_all_arms_go_home_when_somebody_agrees(
     ],
 )
 def test_without_leave_nothing_moves(
-    words: tuple[str, ...],
-    answer: str | None,
-    code: int,
-    match: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...], lines: str | None, code: int, match: str, go_home: Any
 ) -> None:
-    found, text = call(capsys, monkeypatch, tmp_path, *words, answer=answer)
+    found, text = go_home(*words, lines=lines)
     assert found == code
     assert match in " ".join(text.split())
     for arm in made:
         np.testing.assert_array_equal(arm.body.values, HOME - 0.1)
 
 
-def test_a_site_whose_arms_are_of_no_robot_asks_which(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    code, text = call(capsys, monkeypatch, tmp_path, "--yes", arms=("left", "middle"))
+def test_a_site_whose_arms_are_of_no_robot_asks_which(go_home: Any) -> None:
+    code, text = go_home("--yes", arms=("left", "middle"))
     assert code == 1
     assert "are those of no robot that is known; name one with --robot" in " ".join(text.split())
