@@ -50,7 +50,8 @@ class SimCommand(SetupOptions):
             raise InvalidSetup(f"port is {self.port}; valid is 0 (any) to 65535.")
         if self.input is not None and self.agent is not None:
             raise InvalidSetup("Both a device and an agent are to act; `rcs teleop` has you take over from an agent.")
-        setup, actor = self.setup(), self._acting()
+        setup, given = self.setup(), self.input
+        actor: Any = self.actor if given is None else lambda env: Operator(env, given)
         session = Session(
             playable(setup, keep_gripper=self.actor is not None),
             seed=self.seed,
@@ -73,8 +74,3 @@ class SimCommand(SetupOptions):
         finally:
             signal.signal(signal.SIGTERM, before)
         return 0
-
-    def _acting(self) -> Any:
-        """Return who acts in place of the page; None for the page, and the task's expert on request."""
-        given = self.input
-        return self.actor if given is None else lambda env: Operator(env, given)

@@ -58,7 +58,7 @@ class ServerProcess:
             InvalidSetup: There is no such program.
         """
         self._taken = ExitStack()
-        port = str(self._taken.enter_context(first_free("ports", _free_ports())))
+        port = str(self._taken.enter_context(_first_free("ports", _free_ports())))
         words = [word.replace("{port}", port) for word in words]
         self.address, self._log = f"vla://127.0.0.1:{port}", log
         """Where it listens, once it does."""
@@ -179,26 +179,21 @@ def _free_ports() -> Iterator[str]:
         yield str(port)
 
 
-def gpus() -> list[str]:
-    """Return the names of the GPUs that this program sees, as `CUDA_VISIBLE_DEVICES` has them."""
-    if (given := os.environ.get(VARIABLE)) is not None:
-        return [name.strip() for name in given.split(",") if name.strip()]
-    return [str(number) for number, _ in enumerate(_KNOWN.iterdir())] if _KNOWN.is_dir() else []
-
-
 @contextmanager
 def own_gpu() -> Generator[str | None]:
     """Yield a GPU that no other program of this user has taken here; one is given back at the end, or with its program.
 
     None where there are not several, or all are taken.
     """
-    names = gpus()
-    with first_free("gpus", names if len(names) > 1 else ()) as found:
+    names = [str(number) for number, _ in enumerate(_KNOWN.iterdir())] if _KNOWN.is_dir() else []
+    if (given := os.environ.get(VARIABLE)) is not None:
+        names = [name.strip() for name in given.split(",") if name.strip()]
+    with _first_free("gpus", names if len(names) > 1 else ()) as found:
         yield found
 
 
 @contextmanager
-def first_free(kind: str, names: Iterable[str]) -> Generator[str | None]:
+def _first_free(kind: str, names: Iterable[str]) -> Generator[str | None]:
     """Yield the first name that no other program of this user has taken here; it is given back as in `own_gpu`.
 
     None where all are taken.
