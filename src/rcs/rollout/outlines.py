@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.spaces import DISTORTION, EXTRINSICS, INTRINSICS, RGB
-from rcs.rollout.placing import SeededScene
+from rcs.rollout.placing import Poses, SeededScene
 from rcs.spatial import Pose, tquat_to_matrix
 from rcs.spatial.pinhole import distort
 
@@ -25,7 +25,7 @@ class Outlines(SeededScene):
 
     def words(self, seed: int) -> str:
         """Return where the objects go, in words; empty without any."""
-        return "; ".join(f"the {name} at {in_words(pose)}" for name, pose in self.poses(seed).items())
+        return in_words(self.poses(seed))
 
     def seen(self, seed: int, frames: Mapping[str, Mapping[str, Any]]) -> dict[str, list[NDArray[np.float64]]]:
         """Return the outlines of the objects in pictures [px], (N, 2) each: x to the right, y down.
@@ -53,8 +53,12 @@ class Outlines(SeededScene):
         return pictures
 
 
-def in_words(pose: NDArray[np.float64]) -> str:
-    """Return a pose (7,) in words."""
+def in_words(poses: Poses) -> str:
+    """Return where objects are, by name, in words; empty without any."""
+    return "; ".join(f"the {name} at {_in_words(pose)}" for name, pose in poses.items())
+
+
+def _in_words(pose: NDArray[np.float64]) -> str:
     x, y, z = pose[:3]
     roll, pitch, yaw = np.rad2deg(Pose.from_tquat(pose).xyzrpy[3:])
     tilt = f"rolled by {roll:.0f}° and pitched by {pitch:.0f}°, then " if max(abs(roll), abs(pitch)) > 1 else ""

@@ -74,13 +74,11 @@ class TerminalSupervisor(Supervisor):
     def place(self, seed: int, poses: Mapping[str, NDArray[np.float64]]) -> None:
         """Print the places of all objects, and wait."""
         if poses:
-            places = "; ".join(f"the {name} at {in_words(pose)}" for name, pose in poses.items())
-            read_line(f"Put {places}. Then press Enter: ")
+            read_line(f"Put {in_words(poses)}. Then press Enter: ")
 
     def look(self, poses: Mapping[str, NDArray[np.float64]]) -> Mapping[str, NDArray[np.float64]] | None:
         """Ask."""
-        places = "; ".join(f"the {name} at {in_words(pose)}" for name, pose in poses.items())
-        return poses if agrees(f"The robot has put {places}. Does it lie there?") else None
+        return poses if agrees(f"The robot has put {in_words(poses)}. Does it lie there?") else None
 
     def judge(self, observation: Observation, info: Mapping[str, Any]) -> Answer:
         """Ask."""
