@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
+from rcs_data import Dataset
 from rcs_data.cli.console import plain_console
+from rcs_data.cli.convert import ExportCommand
 from rcs_data.cli.program import INTERRUPTED
-from rcs_data.convert.recipe.recipe import LerobotPolicy
+from rcs_data.convert.options import ExportOptions
+from rcs_data.convert.recipe.contents import contents
+from rcs_data.convert.recipe.recipe import LerobotPolicy, recipe
 from rcs_data.read.verdicts import wilson_interval
 from rcs_data.view.charts import short
 from rich.console import Console
@@ -19,7 +26,6 @@ from rich.text import Text
 
 from rcs.cli.runs import interruptible
 from rcs.cli.setup_options import changed, flags, given
-from rcs.cli.train_policy import Imitation, train_policy
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.rl.checkpoint import Score, read_training
@@ -34,6 +40,11 @@ if TYPE_CHECKING:
     TrainFlags = Setup
 else:
     TrainFlags = flags("the recipe's", robot="fr3")
+
+SOURCE = "source.json"
+"""File in the folder of an imitation: the policy, and the dataset that it learns from."""
+LEROBOT_PROGRAM = "vlagents.policies.lerobot_train"
+"""Module that trains in LeRobot's environment."""
 
 
 @dataclass(kw_only=True)
@@ -84,7 +95,7 @@ class TrainCommand:
         """Train, print the results and return the exit code."""
         console, progress = plain_console(soft_wrap=False), TrainingProgress()
         if self.policy is not None:
-            return train_policy(self._imitation(self.policy), console)
+            return self._imitate(self.policy, console)
         if self.dataset or self.lerobot_environment or self.state or self.lerobot:
             raise InvalidSetup("--dataset, --environment, --state and --lerobot belong to --policy; give one.")
         training, out = self._training()
@@ -97,7 +108,47 @@ class TrainCommand:
                 _summarise(progress, out, console)
         return INTERRUPTED if progress.is_interrupted and progress.steps < training.steps else 0
 
-    def _imitation(self, policy: LerobotPolicy) -> Imitation:
+    def _imitate(self, policy: LerobotPolicy, console: Console) -> int:
+        """Export the dataset, write the recipe, run LeRobot, and say how the policy is served; the same again goes on.
+
+        Raises:
+            InvalidSetup: An option is missing or of no use, there is no such environment, or the run began with another
+                dataset.
+        """
+        path, environment = self._ingredients()
+        python = environment / "bin" / "python"
+        if not os.access(python, os.X_OK):
+            raise InvalidSetup(
+                f"There is no {python}. LeRobot needs an environment of its own: "
+                f"vlagents recipe lerobot | sh -s -- {environment}"
+            )
+        dataset, options = Dataset.open(path), ExportOptions(state=self.state)
+        out = self.out or Path("runs", f"{path.resolve().name}-{policy}-{self.course.seed}")
+        made = recipe(policy, contents(dataset, options))
+        state = None if self.state is None else [*self.state]
+        source = {"policy": policy, "digest": dataset.digest(), "state": state}
+        _check_source(out, source)
+        if not (out / "export").exists():
+            ExportCommand(path=path, out=out / "export", format=made.export_format, more=options).run()
+        made.write(out / "recipe")
+        (out / SOURCE).write_text(json.dumps(source, indent=2) + "\n", encoding="utf-8")
+        run = out / "run"
+        steps = () if self.steps is None else (f"--steps={self.steps}",)
+        more = (f"--seed={self.course.seed}", *steps, *(f"--{option}" for option in self.lerobot))
+        words = [python, "-m", LEROBOT_PROGRAM, out / "recipe" / "lerobot.json", out / "export", run, *more]
+        code = subprocess.run(words, check=False).returncode
+        if code:
+            console.print(
+                f"LeRobot ended with {code}; the same command goes on from its last checkpoint.", soft_wrap=True
+            )
+            return code
+        settings = out / "recipe" / "vlagents.json"
+        serve = f"{environment}/bin/vlagents serve {policy} --checkpoint {run} --settings {settings}"
+        console.print(f"Serve: {serve}", soft_wrap=True)
+        return 0
+
+    def _ingredients(self) -> tuple[Path, Path]:
+        """Return the dataset of an imitation and LeRobot's environment, when no option is of another training."""
         if self.dataset is None or self.lerobot_environment is None:
             raise InvalidSetup(
                 "--policy learns from a dataset, in LeRobot's environment: give --dataset and --environment, a folder "
@@ -115,15 +166,7 @@ class TrainCommand:
                 f"{', '.join(ignored)} cannot be combined with policy: LeRobot trains it. Its own options are given by "
                 "--lerobot, such as batch_size=64."
             )
-        steps = () if self.steps is None else (f"--steps={self.steps}",)
-        return Imitation(
-            policy=policy,
-            dataset=self.dataset,
-            environment=self.lerobot_environment,
-            out=self.out or Path("runs", f"{self.dataset.resolve().name}-{policy}-{self.course.seed}"),
-            state=self.state,
-            more=(f"--seed={self.course.seed}", *steps, *(f"--{option}" for option in self.lerobot)),
-        )
+        return self.dataset, self.lerobot_environment
 
     def _training(self) -> tuple[Training, Path]:
         if self.resume is not None:
@@ -183,6 +226,16 @@ class TrainCommand:
         if options.get("control", setup.control) != setup.control:
             options = {"layers": (), **options}
         return with_camera_names(changed(setup, options))
+
+
+def _check_source(out: Path, source: Mapping[str, object]) -> None:
+    if not (out / SOURCE).exists():
+        return
+    before = json.loads((out / SOURCE).read_text(encoding="utf-8"))
+    if changed := sorted(key for key in source if before.get(key) != source[key]):
+        raise InvalidSetup(
+            f"{out} is a run with another {' and '.join(changed)} ('digest' is the dataset's); take another --out."
+        )
 
 
 class _TimeLeft(ProgressColumn):
