@@ -80,25 +80,26 @@ class EpisodeBytes:
         return altered
 
     def _check_rows(self) -> Iterator[Finding]:
-        content, not_finite = ContentHash(self._info), _NotFinite()
+        content, pieces = ContentHash(self._info), list[pa.Table]()
         first = 0
         try:
             for rows in EpisodeRecord(self._place.folder, self._info).rows():
-                for key in rows.column_names:
-                    column = rows.column(key)
-                    if pa.types.is_binary(column.type):
-                        yield from self._check_images(key, column, first)
-                    elif not key.startswith(NOTES):
-                        not_finite.add(key, column, first)
+                for key in self.rows.frames:
+                    yield from self._check_images(key, rows.column(key), first)
                 content.add(rows)
-                self.rows.add(rows)
+                pieces.append(rows.select([name for name in rows.column_names if name not in self.rows.frames]))
                 first += rows.num_rows
         except CorruptEpisode as err:
             yield self._damage("unreadable", str(err), STEPS_FILE)
             return
-        for key, (number, start, end) in not_finite.found.items():
-            message = f"{key!r} is not finite in {counted(number, 'row')}"
-            yield self._place.finding("warning", "not_finite", message, rows=(start, end))
+        if pieces:
+            self.rows.numbers = pa.concat_tables(pieces)
+        for key in self.rows.numbers.column_names:
+            numbers = flat_numbers(self.rows.numbers.column(key))
+            if first and numbers.dtype.kind == "f" and not key.startswith(NOTES):
+                bad = np.flatnonzero(~np.isfinite(numbers.reshape(first, -1)).all(axis=1))
+                if len(bad):
+                    yield self._place.warning("not_finite", f"{key!r} is not finite in {counted(len(bad), 'row')}", bad)
         if content.hexdigest() != self.rows.about["content_hash"]:
             yield self._damage("content", "its values are not those that were written", STEPS_FILE)
 
@@ -144,25 +145,6 @@ class EpisodeBytes:
 
     def _damage(self, kind: str, message: str, file: str, rows: tuple[int, int] | None = None) -> Finding:
         return self._place.finding("damage", kind, message, file=file, rows=rows)
-
-
-class _NotFinite:
-    """Counts the rows of each column with NaN or infinity."""
-
-    def __init__(self) -> None:
-        self.found: dict[str, tuple[int, int, int]] = {}
-
-    def add(self, key: str, column: pa.ChunkedArray, first: int) -> None:
-        """Take the next rows of a column, starting at row `first`."""
-        if not len(column):
-            return  # without rows, numpy cannot infer the size of one
-        numbers = flat_numbers(column).reshape(len(column), -1)
-        if numbers.dtype.kind != "f":
-            return
-        bad = np.flatnonzero(~np.isfinite(numbers).all(axis=1))
-        if len(bad):
-            number, start, _ = self.found.get(key, (0, first + int(bad[0]), 0))
-            self.found[key] = (number + len(bad), start, first + int(bad[-1]))
 
 
 def sha256_of(path: Path) -> str:

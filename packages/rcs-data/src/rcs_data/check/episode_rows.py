@@ -1,4 +1,4 @@
-"""Keeps the parts of an episode's rows that later checks need while its files are read."""
+"""The rows of an episode, as its checks need them: all numbers, and the state of each image."""
 
 from __future__ import annotations
 
@@ -60,35 +60,32 @@ class FrameLog:
 
 
 class EpisodeRows:
-    """The columns of times, joints and motion, and the state of each camera per row."""
+    """The columns of numbers, and the state of each image per row."""
 
     def __init__(self, info: DatasetInfo) -> None:
         self.info = info
-        self.length = 0
         self.about: dict[str, Any] = {}
         self.frames = {f.key: FrameLog() for f in info.features if f.is_image}
-        self._parts: dict[str, list[NDArray[Any]]] = {f.key: [] for f in info.features if _is_wanted(f)}
+        self.numbers = pa.table({})
+        """All columns but images, once they are read."""
 
-    def add(self, rows: pa.Table) -> None:
-        """Take the next rows."""
-        self.length += rows.num_rows
-        for key, parts in self._parts.items():
-            column = rows.column(key)
-            feature = self.info.feature(key)
-            # Times that were not measured are NaN.
-            parts.append(
-                column.to_numpy() if feature.is_time else flat_numbers(column).reshape(-1, *feature.shape).copy()
-            )
+    @property
+    def length(self) -> int:
+        """Number of rows."""
+        return self.numbers.num_rows
 
     def column(self, key: str) -> NDArray[Any] | None:
         """Return a column, shape (length, *feature.shape); None if the dataset has no such key."""
-        parts = self._parts.get(key)
-        return np.concatenate(parts) if parts else None
+        if key not in self.numbers.column_names:
+            return None
+        feature, column = self.info.feature(key), self.numbers.column(key)
+        # Times that were not measured are NaN.
+        return column.to_numpy() if feature.is_time else flat_numbers(column).reshape(-1, *feature.shape)
 
     @property
     def joints(self) -> list[str]:
         """Keys of measured joint positions, one per arm."""
-        return [key for key in self._parts if is_joints(self.info.feature(key))]
+        return [feature.key for feature in self.info.features if is_joints(feature)]
 
     @property
     def cameras(self) -> dict[str, list[str]]:
@@ -120,7 +117,7 @@ class EpisodeRows:
         """
         is_realtime = self.info.setup.get("stepping") == "realtime"
         for key in ("time/monotonic",) if is_realtime else (SIMULATED_TIME, "time/monotonic"):
-            if key in self._parts:
+            if key in self.numbers.column_names:
                 return key
         return None
 
@@ -128,7 +125,3 @@ class EpisodeRows:
 def is_joints(feature: Feature) -> bool:
     """Whether a feature has an arm's measured joint positions."""
     return feature.key.startswith("observation/") and feature.key.rsplit("/", 1)[-1] == "joints"
-
-
-def _is_wanted(feature: Feature) -> bool:
-    return feature.is_time or feature.is_flags or is_joints(feature)

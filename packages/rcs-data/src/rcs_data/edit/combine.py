@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from rcs_data.edit.transaction import making
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.files.info import MERGED, DatasetInfo, differences, feature_differences, shared_setup
 from rcs_data.files.layout import check_name, name_of
-from rcs_data.files.output import OnProgress, refuse_existing
+from rcs_data.files.output import OnProgress, new_output, refuse_existing
 from rcs_data.options import require_whole
 from rcs_data.read.reader import Dataset, EpisodeRecord
+from rcs_data.record.writer import DatasetWriter
 
 # Fields that may differ between merged datasets.
 _OWN = ("setup", "instruction", "jpeg_quality", "jpeg_subsampling", "origin")
@@ -42,7 +42,7 @@ def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProg
         _require_fit(names[0], datasets[0], name, dataset)
     info = _merged_info(names, datasets)
     parts = [(name, dataset, dataset.episodes) for name, dataset in zip(names, datasets, strict=True)]
-    with making(out, info) as made:
+    with new_output(out) as partial, DatasetWriter.open(partial, info) as made:
         for _, episode, about in gathered(parts, on_progress):
             made.copy(episode, **about)
     return Dataset(out)
@@ -51,7 +51,7 @@ def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProg
 def gathered(
     parts: Sequence[tuple[str, Dataset, Sequence[EpisodeRecord]]], on_progress: OnProgress | None
 ) -> Iterator[tuple[str, EpisodeRecord, dict[str, Any]]]:
-    """Yield named datasets' episodes, each with that name, and its new id and source as `making` takes them."""
+    """Yield the episodes of named datasets, each with that name and what its copy has: its new id and its source."""
     ids = [episode.id for _, _, episodes in parts for episode in episodes]
     is_unique = len(set(ids)) == len(ids)
     done = 0
@@ -104,7 +104,7 @@ def split(
         refuse_existing(Path(out) / name)
     made: dict[str, Dataset] = {}
     for name, (info, kept) in chosen.items():
-        with making(Path(out) / name, info) as part:
+        with new_output(Path(out) / name) as partial, DatasetWriter.open(partial, info) as part:
             for episode, about in kept:
                 part.copy(episode, **about)
         made[name] = Dataset(Path(out) / name)

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from rcs_data.edit.rows import take_rows
+import msgspec
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
+from rcs_data.files.info import SIM_STATE, DatasetInfo
 from rcs_data.files.text import check_text
 from rcs_data.index.history import RELABEL
 from rcs_data.options import require_whole
+
+_OF_THE_STEP = ("time/period", "time/command")
+"""Times of the step that led to a row."""
 
 
 def delete(path: str | Path, episodes: Iterable[str]) -> None:
@@ -24,7 +32,8 @@ def delete(path: str | Path, episodes: Iterable[str]) -> None:
     ids = sorted(set(episodes))
     with editing(path, "delete", {"episodes": ids}) as edit:
         require_ids(path, edit.entries, ids)
-        edit.drop(ids)
+        for name in ids:
+            del edit.entries[name]
 
 
 def keep(path: str | Path, episodes: Iterable[str]) -> None:
@@ -37,7 +46,8 @@ def keep(path: str | Path, episodes: Iterable[str]) -> None:
     ids = sorted(set(episodes))
     with editing(path, "keep", {"episodes": ids}) as edit:
         require_ids(path, edit.entries, ids)
-        edit.drop(edit.entries.keys() - set(ids))
+        for name in edit.entries.keys() - set(ids):
+            del edit.entries[name]
 
 
 def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> None:
@@ -77,11 +87,30 @@ def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | Non
     check_text(instruction, "The instruction")
     ids = None if episodes is None else sorted(set(episodes))
     arguments = {"instruction": instruction, "episodes": ids}
-    is_all = ids is None
-    new_info = (lambda info: replace(info, instruction=instruction)) if is_all else (lambda info: info)
+    words = None if ids is None else instruction  # an episode without its own has the dataset's
+    new_info = (lambda info: replace(info, instruction=instruction)) if ids is None else (lambda info: info)
     with editing(path, RELABEL, arguments, new_info=new_info) as edit:
         require_ids(path, edit.entries, ids or [])
-        edit.relabel(ids, instruction)
+        for name in edit.entries if ids is None else ids:
+            edit.entries[name] = msgspec.structs.replace(edit.entries[name], instruction=words)
+
+
+def take_rows(table: pa.Table, info: DatasetInfo, rows: Sequence[int] | NDArray[np.intp]) -> pa.Table:
+    """Return some rows of an episode, ascending, as an episode of their own.
+
+    The new first row loses action and reward, since the step before it is not part of the episode. The numbers of an
+    episode fit into memory also where its images take many gigabytes, which are read when the rows are written.
+    """
+    chosen = pa.array(np.asarray(rows, np.int64))
+    columns: list[pa.Array] = []
+    for field in table.schema:
+        column = table.column(field.name).combine_chunks()
+        feature = None if field.name == SIM_STATE else info.feature(field.name)
+        if feature is not None and (feature.is_unknown_at_reset or feature.key in _OF_THE_STEP) and len(chosen):
+            columns.append(pa.concat_arrays([pa.nulls(1, field.type), column.take(chosen[1:])]))
+        else:
+            columns.append(column.take(chosen))
+    return pa.Table.from_arrays(columns, schema=table.schema)
 
 
 def require_ids(path: str | Path, known: Iterable[str], ids: Iterable[str]) -> None:

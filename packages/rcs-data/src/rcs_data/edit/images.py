@@ -47,11 +47,7 @@ def rename_camera(path: str | Path, name: str, to: str, *, on_progress: OnProgre
     """
     arguments = {"name": name, "to": to}
     with editing(path, "rename-camera", arguments, new_info=lambda info: renamed(info, {name: to})) as edit:
-        episodes = edit.dataset.episodes
-        for i, episode in enumerate(episodes):
-            edit.write(episode, (with_names(rows, edit.info) for rows in episode.rows()))
-            if on_progress is not None:
-                on_progress(i + 1, len(episodes))
+        edit.write_all(lambda episode: (with_names(rows, edit.info) for rows in episode.rows()), on_progress)
 
 
 def renamed(info: DatasetInfo, names: Mapping[str, str]) -> DatasetInfo:
@@ -93,11 +89,7 @@ def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress |
     """
     pixels = whole_size(size)
     with editing(path, "resize", {"size": list(pixels)}, new_info=lambda info: resized(info, pixels)) as edit:
-        episodes = edit.dataset.episodes
-        for i, episode in enumerate(episodes):
-            edit.write(episode, (with_size(rows, episode.info, edit.info) for rows in episode.rows()))
-            if on_progress is not None:
-                on_progress(i + 1, len(episodes))
+        edit.write_all(lambda one: (with_size(rows, one.info, edit.info) for rows in one.rows()), on_progress)
 
 
 def resized(info: DatasetInfo, size: tuple[int, int]) -> DatasetInfo:

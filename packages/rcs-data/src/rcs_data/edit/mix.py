@@ -14,12 +14,12 @@ import pyarrow as pa
 from rcs_data.edit.combine import gathered, own_parts, source_names
 from rcs_data.edit.images import cameras_of, renamed, resized, with_names, with_size
 from rcs_data.edit.rate import at_rate, resampled
-from rcs_data.edit.transaction import making
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.files.info import MERGED, DatasetInfo, feature_differences, shared_setup
-from rcs_data.files.output import OnProgress
+from rcs_data.files.output import OnProgress, new_output
 from rcs_data.options import Natural, Positive, Record, Whole, converted, require_whole
 from rcs_data.read.reader import Dataset, EpisodeRecord
+from rcs_data.record.writer import DatasetWriter
 
 
 def _path(given: str | Path) -> Path:
@@ -110,7 +110,8 @@ def mix(
         MERGED: own_parts(names, datasets),
     }
     after = dict(zip(names, infos, strict=True))
-    with making(out, replace(infos[0], setup=setup, origin=origin)) as made:
+    info = replace(infos[0], setup=setup, origin=origin)
+    with new_output(out) as partial, DatasetWriter.open(partial, info) as made:
         for name, episode, about in gathered([*zip(names, datasets, chosen, strict=True)], on_progress):
             rename = how.rename.get(name, {})
             # Cameras that swap their names leave the features as they are.
@@ -170,20 +171,13 @@ def _drawn(dataset: Dataset, number: int, rng: np.random.Generator) -> list[Epis
 
 def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Harmonise) -> list[DatasetInfo]:
     """Return the info of each dataset's episodes after the mapping; only the setups differ."""
-    infos: list[DatasetInfo] = []
-    present = [
-        feature.key
-        for name, dataset in zip(names, datasets, strict=True)
-        for feature in renamed(dataset.info, how.rename.get(name, {})).features
-    ]
-    if unpresent := [key for key in how.drop if not any(one == key or one.startswith(f"{key}/") for one in present)]:
-        raise InvalidSetup(
-            f"drop has {', '.join(unpresent)}, which no dataset has; they have {', '.join(dict.fromkeys(present))}."
-        )
-    for name, dataset in zip(names, datasets, strict=True):
-        info = renamed(dataset.info, how.rename.get(name, {}))
-        kept = [f for f in info.features if not any(f.key == key or f.key.startswith(f"{key}/") for key in how.drop)]
-        infos.append(replace(info, features=tuple(kept)))
+    infos = [renamed(dataset.info, how.rename.get(name, {})) for name, dataset in zip(names, datasets, strict=True)]
+    present = dict.fromkeys(feature.key for info in infos for feature in info.features)
+    dropped = {place: {key for key in present if f"{key}/".startswith(f"{place}/")} for place in how.drop}
+    if unpresent := [place for place, keys in dropped.items() if not keys]:
+        raise InvalidSetup(f"drop has {', '.join(unpresent)}, which no dataset has; they have {', '.join(present)}.")
+    left_out = set[str]().union(*dropped.values())
+    infos = [replace(info, features=tuple(f for f in info.features if f.key not in left_out)) for info in infos]
     if how.common:
         shared = set.intersection(*({feature.key for feature in info.features} for info in infos))
         infos = [replace(info, features=tuple(f for f in info.features if f.key in shared)) for info in infos]

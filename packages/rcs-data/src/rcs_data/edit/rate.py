@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs_data.edit.rows import take_rows
+from rcs_data.edit.episodes import take_rows
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
 from rcs_data.files.feature import Feature
@@ -48,11 +48,7 @@ def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | No
     """
     frequency = require_number("frequency", frequency)
     with editing(path, "resample", {"frequency": frequency}, new_info=lambda info: at_rate(info, frequency)) as edit:
-        episodes = edit.dataset.episodes
-        for i, episode in enumerate(episodes):
-            edit.write(episode, episode.inlined(resampled(episode.steps(), episode.info, frequency)))
-            if on_progress is not None:
-                on_progress(i + 1, len(episodes))
+        edit.write_all(lambda one: one.inlined(resampled(one.steps(), one.info, frequency)), on_progress)
 
 
 def at_rate(info: DatasetInfo, frequency: float) -> DatasetInfo:

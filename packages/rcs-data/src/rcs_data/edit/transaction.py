@@ -1,4 +1,4 @@
-"""Transactions: an edit of a dataset, or a new dataset of episodes of others, takes effect only when complete.
+"""Transactions: an edit of a dataset takes effect only when complete.
 
 The folder of an episode never changes. An edit writes new folders for the episodes whose rows change, and a new index,
 which names them (`rcs_data.index.history`). Until that is decided, nothing reads them.
@@ -12,7 +12,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pyarrow as pa
 
 from rcs_data.errors import DatasetError
@@ -28,7 +27,7 @@ from rcs_data.files.layout import (
     trash,
     written_folder,
 )
-from rcs_data.files.output import new_output
+from rcs_data.files.output import OnProgress
 from rcs_data.index import history
 from rcs_data.index.entry import Entry
 from rcs_data.index.history import Draft, Edit, locked
@@ -36,7 +35,6 @@ from rcs_data.index.index import Index
 from rcs_data.read.reader import Dataset, EpisodeRecord
 from rcs_data.record.copies import rewrite
 from rcs_data.record.recover import unlisted
-from rcs_data.record.writer import DatasetWriter
 
 
 class Transaction:
@@ -55,17 +53,6 @@ class Transaction:
         index = self._draft.index
         return Dataset(index.root, index)
 
-    def drop(self, ids: Iterable[str]) -> None:
-        """Leave episodes out."""
-        for name in ids:
-            self.entries.pop(name, None)
-
-    def relabel(self, ids: Iterable[str] | None, instruction: str) -> None:
-        """Change the instruction of some episodes; None for all, whose instruction is then the dataset's."""
-        words = None if ids is None else instruction
-        for name in self.entries if ids is None else ids:
-            self.entries[name] = msgspec.structs.replace(self.entries[name], instruction=words)
-
     def write(self, episode: EpisodeRecord, rows: Iterable[pa.Table]) -> None:
         """Give an episode new rows.
 
@@ -80,6 +67,16 @@ class Transaction:
         folder.mkdir()
         rewrite(folder, self.info, episode, rows, {})
         self.entries[episode.id] = Entry.of(read_about(folder), folder.name, self.info)
+
+    def write_all(
+        self, new_rows: Callable[[EpisodeRecord], Iterable[pa.Table]], on_progress: OnProgress | None
+    ) -> None:
+        """Give every episode new rows, as `write` does; `on_progress` gets the number of episodes done and of all."""
+        episodes = self.dataset.episodes
+        for done, episode in enumerate(episodes, 1):
+            self.write(episode, new_rows(episode))
+            if on_progress is not None:
+                on_progress(done, len(episodes))
 
 
 @contextlib.contextmanager
@@ -115,21 +112,6 @@ def editing(
             draft.decide(command, arguments, transaction.entries, info)
         finally:
             draft.drop()
-
-
-@contextlib.contextmanager
-def making(out: str | Path, info: DatasetInfo) -> Generator[DatasetWriter]:
-    """Make a dataset of episodes of others: the block fills it, and it appears at its end.
-
-    Args:
-        out: Its folder; nothing may be there.
-        info: The facts that its episodes share.
-
-    Raises:
-        DatasetError: The folder is not empty, or the disk fails; then nothing is left behind.
-    """
-    with new_output(out) as partial, DatasetWriter.open(partial, info) as writer:
-        yield writer
 
 
 def undo(path: str | Path) -> Edit:
