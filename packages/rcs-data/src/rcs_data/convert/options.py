@@ -155,17 +155,11 @@ def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[Episode
     ids = options.episodes
     if ids is not None and len(set(ids)) < len(ids):
         raise InvalidSetup(f"Episodes are given twice: {', '.join(sorted({i for i in ids if ids.count(i) > 1}))}.")
-    known = {episode.id: episode for episode in dataset.episodes}
-    unknown = [i for i in ids or () if i not in known]
-    if unknown:
-        raise InvalidSetup(
-            f"There is no episode {', '.join(unknown)} in {dataset.path}, which has {len(known)} episodes."
-        )
     kept = tuple(episode for episode in _wanted(dataset, options) if episode.length > 1)
     if not kept:
         wanted = "that succeeded and has" if options.success_only else "with"
         why = "".join(f" {note}" for note in no_step_notes(dataset, options))
-        number = len(known if ids is None else ids)
+        number = len(dataset if ids is None else ids)
         raise InvalidSetup(
             f"None of the {number} chosen episodes of {dataset.path} is one {wanted} a step to export.{why}"
         )

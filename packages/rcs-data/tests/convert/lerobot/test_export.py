@@ -211,11 +211,10 @@ def test_files_start_anew_when_they_are_full(make_dataset: Any, tmp_path: Path) 
     small = tmp_path / "small"
     small.mkdir()
     tasks = lerobot._numbered(dataset.episodes, layout, lerobot.TASK)
-    job = lerobot._Job(root=small, layout=layout, tasks=tasks, subtasks={})
-    writer = V3Writer(small, layout, "fr3", [*job.tasks], [], data_limit=1, video_limit=1)
+    writer = V3Writer(small, layout, "fr3", [*tasks], [], data_limit=1, video_limit=1)
     first = 0
     for index, episode in enumerate(dataset.episodes):
-        writer.add(job.encode((index, first, episode)))
+        writer.add(lerobot._encoded(small, layout, tasks, {}, (index, first, episode)))
         first += episode.length - 1
     writer.finish()
     for kind in ("data/chunk-000/*", f"videos/{SIDE}/chunk-000/*", f"videos/{WRIST}/chunk-000/*"):
@@ -322,7 +321,7 @@ def test_a_rate_that_is_no_whole_number_is_refused_or_claimed_knowingly(make_dat
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"episodes": ("take-9",)}, "no episode take-9"),
+        ({"episodes": ("take-9",)}, "no episode 'take-9'"),
         ({"episodes": ("take-0", "take-0")}, "given twice: take-0"),
         ({"cameras": ("top",)}, "no camera of this dataset named 'top'"),
         ({"extra": ("observation/frames/side/rgb",)}, "cannot be a column"),

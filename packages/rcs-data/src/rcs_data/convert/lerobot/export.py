@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
@@ -76,15 +76,16 @@ def export_lerobot(
     robot = options.robot_type or str(dataset.info.setup.get("robot") or "unknown")
     digest = dataset.digest()
     with new_output(out) as root:
-        root.mkdir()
-        job = _Job(root=root, layout=layout, tasks=tasks, subtasks=subtasks)
+        temporary = root / "encoding"
+        temporary.mkdir(parents=True)
+        encode = partial(_encoded, temporary, layout, tasks, subtasks)
         writer = (V3Writer if version == "3.0" else V21Writer)(root, layout, robot, [*tasks], [*subtasks])
         try:
             given = list(zip(range(len(episodes)), firsts, episodes, strict=False))
             ahead = 4 * options.workers
             with ThreadPoolExecutor(options.workers, thread_name_prefix="encode") as pool:
                 for start in range(0, len(given), ahead):
-                    for episode in pool.map(job.encode, given[start : start + ahead]):
+                    for episode in pool.map(encode, given[start : start + ahead]):
                         writer.add(episode)
                         if options.on_progress:
                             options.on_progress(episode.first + episode.table.num_rows, firsts[-1])
@@ -92,7 +93,7 @@ def export_lerobot(
         except BaseException:
             writer.abort()
             raise
-        (root / _TEMPORARY).rmdir()
+        temporary.rmdir()
         if gr00t:
             write_json(root / "meta" / "modality.json", _modality(layout))
         rows = ({"episode_index": i, **episode_provenance(episode, digest)} for i, episode in enumerate(episodes))
@@ -113,48 +114,46 @@ def export_lerobot(
     return export_report(Path(out), dataset, options, episodes, images, _notes(dataset, layout))
 
 
-_TEMPORARY = "encoding"
+def _encoded(
+    folder: Path,
+    layout: LeRobotLayout,
+    tasks: dict[str, int],
+    subtasks: dict[str, int],
+    given: tuple[int, int, EpisodeRecord],
+) -> EncodedEpisode:
+    """Return an encoded episode, independent of the others, so that several threads can share the work.
 
-
-@dataclass(frozen=True, kw_only=True)
-class _Job:
-    """Encodes episodes independently, so that several threads can share the work."""
-
-    root: Path
-    layout: LeRobotLayout
-    tasks: dict[str, int]
-    """The number of each instruction."""
-    subtasks: dict[str, int]
-    """The number of each subtask."""
-
-    def encode(self, given: tuple[int, int, EpisodeRecord]) -> EncodedEpisode:
-        """Return an episode, given its number, its first frame's and itself; its videos are in the temporary folder."""
-        index, first, episode = given
-        tasks = _texts(episode, self.layout, TASK)
-        texts = {"task_index": np.array([self.tasks[text] for text in tasks])}
-        if subtasks := _texts(episode, self.layout, SUBTASK):
-            texts["subtask_index"] = np.array([self.subtasks[text] for text in subtasks])
-        arrays = self.layout.arrays(episode, index=index, first=first, texts=texts)
-        numbers = {name: values for name, values in arrays.items() if self.layout.numbers[name][0] != TEXT}
-        histograms: dict[str, ImageHistogram] = {}
-        folder = self.root / _TEMPORARY
-        folder.mkdir(exist_ok=True)
-        videos: dict[str, Path] = {}
-        for name, feature in self.layout.cameras.items():
-            videos[name] = folder / f"{index}.{name}.mp4"
-            histogram = histograms[name] = ImageHistogram(episode.length - 1)
-            frames = _counted(islice(episode.frames(feature.key), episode.length - 1), histogram)
-            encode_video(videos[name], frames, feature.shape, self.layout.fps, self.layout.codec)
-        return EncodedEpisode(
-            index=index,
-            first=first,
-            tasks=list(dict.fromkeys(tasks)),
-            table=self.layout.table(arrays),
-            videos=videos,
-            stats=episode_stats(numbers) | {name: histogram.stats() for name, histogram in histograms.items()},
-            numbers=numbers,
-            histograms=histograms,
-        )
+    Args:
+        folder: Where its videos are, until they are put in place.
+        layout: The columns and videos.
+        tasks: The number of each instruction.
+        subtasks: The number of each subtask.
+        given: The number of the episode, that of its first frame, and the episode.
+    """
+    index, first, episode = given
+    words = _texts(episode, layout, TASK)
+    texts = {"task_index": np.array([tasks[text] for text in words])}
+    if parts := _texts(episode, layout, SUBTASK):
+        texts["subtask_index"] = np.array([subtasks[text] for text in parts])
+    arrays = layout.arrays(episode, index=index, first=first, texts=texts)
+    numbers = {name: values for name, values in arrays.items() if layout.numbers[name][0] != TEXT}
+    histograms: dict[str, ImageHistogram] = {}
+    videos: dict[str, Path] = {}
+    for name, feature in layout.cameras.items():
+        videos[name] = folder / f"{index}.{name}.mp4"
+        histogram = histograms[name] = ImageHistogram(episode.length - 1)
+        frames = _counted(islice(episode.frames(feature.key), episode.length - 1), histogram)
+        encode_video(videos[name], frames, feature.shape, layout.fps, layout.codec)
+    return EncodedEpisode(
+        index=index,
+        first=first,
+        tasks=list(dict.fromkeys(words)),
+        table=layout.table(arrays),
+        videos=videos,
+        stats=episode_stats(numbers) | {name: histogram.stats() for name, histogram in histograms.items()},
+        numbers=numbers,
+        histograms=histograms,
+    )
 
 
 def _numbered(episodes: Iterable[EpisodeRecord], layout: LeRobotLayout, key: str) -> dict[str, int]:

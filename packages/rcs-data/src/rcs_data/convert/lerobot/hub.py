@@ -14,12 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from rcs_data.convert.lerobot.import_ import is_lerobot
-from rcs_data.convert.lerobot.layout import RCS_FILE
 from rcs_data.convert.lerobot.mapping import feature_mapping
 from rcs_data.convert.lerobot.source import LeRobotSource
 from rcs_data.convert.options import ImportOptions, selected_numbers
 from rcs_data.errors import DatasetError, InvalidSetup, RcsError, package_of
-from rcs_data.files.json_file import read_json
 
 # LeRobot looks for datasets of this tag; the Hub's viewer needs the paths.
 _CARD = """---
@@ -89,8 +87,7 @@ def pull(
     source = LeRobotSource(root)
     chosen = selected_numbers(episodes, source.lengths)
     options = ImportOptions(cameras=None if cameras is None else tuple(cameras))
-    ours = read_json(root / RCS_FILE) if (root / RCS_FILE).is_file() else None
-    wanted = _files(source, feature_mapping(source, ours, options).cameras, chosen)
+    wanted = _files(source, feature_mapping(source, options).cameras, chosen)
     download([*(glob.escape(str(path)) for path in wanted), "README.md"])
     return root
 

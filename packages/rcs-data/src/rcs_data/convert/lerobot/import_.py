@@ -16,16 +16,16 @@ import numpy as np
 import pyarrow as pa
 
 from rcs_data.convert.labels import LABELS, numbered
-from rcs_data.convert.lerobot.layout import PROVENANCE_FILE, RCS_FILE, SUCCESS
+from rcs_data.convert.lerobot.layout import PROVENANCE_FILE, SUCCESS
 from rcs_data.convert.lerobot.mapping import FeatureMapping, feature_mapping
 from rcs_data.convert.lerobot.source import LeRobotSource, SourceEpisode, refuse_pointer
 from rcs_data.convert.lerobot.video import VideoReader
-from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
+from rcs_data.convert.options import ImportOptions, selected_numbers
 from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.steps import EpisodeAbout, Record, StepColumn, import_episodes, leave_out, record_steps
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.files.info import MEANING_OF_ACTIONS, DatasetInfo
-from rcs_data.files.json_file import read_json, read_json_lines
+from rcs_data.files.json_file import read_json_lines
 from rcs_data.read.reader import Dataset
 from rcs_data.record.writer import DatasetWriter
 
@@ -57,10 +57,9 @@ def import_lerobot(source: str | Path, out: str | Path, options: ImportOptions |
     options = options or ImportOptions()
     given = LeRobotSource(Path(source))
     chosen = selected_numbers(options.episodes, given.lengths)
-    ours = read_json(given.root / RCS_FILE) if (given.root / RCS_FILE).is_file() else None
-    mapping = feature_mapping(given, ours, options, _carrying(given, chosen, options))
-    reading = _Reading(given, mapping, options, _provenance(given, ours), {})
-    info, steps = _info(given, ours, mapping, options), sum(given.lengths[index] for index in chosen)
+    mapping = feature_mapping(given, options, _carrying(given, chosen, options))
+    reading = _Reading(given, mapping, options, _provenance(given), {})
+    info, steps = _info(given, mapping, options), sum(given.lengths[index] for index in chosen)
     try:
         return import_episodes(out, info, reading.episodes(chosen), options, steps)
     finally:
@@ -105,8 +104,7 @@ class _Reading:
             values, texts[feature.key] = numbered(source.texts(name, table))
             columns.append(StepColumn(feature=feature, values=values))
         for name, feature in mapping.cameras.items():
-            kept = stored_as(feature, self.options)
-            columns.append(StepColumn(feature=kept, values=episode.images(name, kept, self.readers, source.fps)))
+            columns.append(StepColumn(feature=feature, values=episode.images(name, feature, self.readers, source.fps)))
         tasks = list(dict.fromkeys(source.texts("task_index", table) if "task_index" in table.column_names else []))
         origin, imported = self.provenance.get(index), {"episode": index, "tasks": tasks}
         about = (
@@ -127,10 +125,10 @@ def _success(episode: SourceEpisode) -> bool | None:
     return None
 
 
-def _provenance(source: LeRobotSource, ours: Mapping[str, Any] | None) -> dict[int, dict[str, Any]]:
+def _provenance(source: LeRobotSource) -> dict[int, dict[str, Any]]:
     """Return the origin of each episode, if this is our export, unchanged."""
     path = source.root / PROVENANCE_FILE
-    if ours is None or not path.is_file():
+    if not source.ours or not path.is_file():
         return {}
     refuse_pointer(path)
     found: dict[int, dict[str, Any]] = {}
@@ -141,12 +139,10 @@ def _provenance(source: LeRobotSource, ours: Mapping[str, Any] | None) -> dict[i
     return found if {index: row["rows"] - 1 for index, row in found.items()} == source.lengths else {}
 
 
-def _info(
-    source: LeRobotSource, ours: Mapping[str, Any] | None, mapping: FeatureMapping, options: ImportOptions
-) -> DatasetInfo:
+def _info(source: LeRobotSource, mapping: FeatureMapping, options: ImportOptions) -> DatasetInfo:
     if not mapping.features:
         raise InvalidSetup(f"{source.root} has no column to import: {mapping.left_out}.")
-    own = ours or {}
+    own = source.ours
     imported: dict[str, Any] = {
         "format": f"LeRobot {source.version}",
         "robot_type": source.info.get("robot_type"),
@@ -159,7 +155,7 @@ def _info(
     words = [own.get("instruction"), options.instruction, *source.tasks.values()]
     return DatasetInfo(
         frequency=own.get("frequency", source.fps),
-        features=tuple(stored_as(feature, options) for feature in mapping.features),
+        features=mapping.features,
         setup={**meaning, "imported": imported},
         instruction=next((text for text in words if isinstance(text, str) and text), ""),
         jpeg_quality=options.jpeg_quality,

@@ -215,12 +215,12 @@ def _columns(
         "reward": (REWARD, "float32"), "terminated": (TERMINATED, "bool"), "truncated": (TRUNCATED, "bool")
     }  # fmt: skip
     known = {feature.key: feature for feature in info.features}
-    columns += [_column(known[key], name, dtype) for key, (name, dtype) in singles.items() if key in known]
+    columns += [single_column(known[key], name, dtype) for key, (name, dtype) in singles.items() if key in known]
     for camera in cameras:
         for kind in ("intrinsics", "extrinsics"):
             key = f"observation/frames/{camera}/{kind}"
             if key in known:
-                columns.append(_column(known[key], f"calibration.{camera.replace('/', '.')}.{kind}"))
+                columns.append(single_column(known[key], f"calibration.{camera.replace('/', '.')}.{kind}"))
     extra = [info.feature(key) for key in options.extra]
     extra += [f for f in info.features if (f.is_circumstance or f.is_time) and f not in extra]
     for feature in extra:
@@ -229,7 +229,7 @@ def _columns(
         plain = feature.key.removeprefix("extra/")
         name = feature.key if plain in (*INDICES, REWARD, DONE, SUCCESS, TERMINATED, TRUNCATED) else plain
         columns.append(
-            _column(feature, name.replace("/", "."), TEXT if _is_text(info, episodes, feature.key) else None)
+            single_column(feature, name.replace("/", "."), TEXT if _is_text(info, episodes, feature.key) else None)
         )
     names = [column.name for column in columns]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -238,7 +238,8 @@ def _columns(
     return tuple(columns)
 
 
-def _column(feature: Feature, name: str, dtype: str | None = None) -> Column:
+def single_column(feature: Feature, name: str, dtype: str | None = None) -> Column:
+    """Return the column of one feature, in its own dtype unless another is given."""
     return Column(name=name, dtype=dtype or feature.dtype, parts=VectorLayout(features=(feature,)))
 
 

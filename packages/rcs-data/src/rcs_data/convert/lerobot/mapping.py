@@ -30,10 +30,11 @@ from rcs_data.convert.lerobot.layout import (
     TEXT,
     TRUNCATED,
     Column,
+    single_column,
 )
 from rcs_data.convert.lerobot.source import LeRobotSource
 from rcs_data.convert.observations import kept_dtype
-from rcs_data.convert.options import ImportOptions, selected_cameras
+from rcs_data.convert.options import ImportOptions, selected_cameras, stored_as
 from rcs_data.errors import CorruptEpisode
 from rcs_data.files.feature import DType, Feature
 from rcs_data.files.flags import camera_of
@@ -62,23 +63,20 @@ class FeatureMapping:
     """Columns that are left out, with the reason."""
 
 
-def feature_mapping(
-    source: LeRobotSource, ours: Mapping[str, Any] | None, options: ImportOptions, carrying: Iterable[str] = ()
-) -> FeatureMapping:
+def feature_mapping(source: LeRobotSource, options: ImportOptions, carrying: Iterable[str] = ()) -> FeatureMapping:
     """Choose the features.
 
     Args:
         source: The LeRobot dataset.
-        ours: The contents of `meta/rcs.json`; None if there is no such file.
-        options: Cameras to import.
+        options: Cameras to import, and how their images are stored.
         carrying: `timestamp` if it is more than frame number over rate, `task_index` if it changes within an episode.
 
     Raises:
         InvalidSetup: A camera is unknown.
         CorruptEpisode: `meta/rcs.json` is damaged.
     """
-    columns, cameras = _own(source, ours or {})
-    known = {*(column.name for column in columns), *cameras, *({DONE, SUCCESS} if ours else ())}
+    columns, cameras = _own(source)
+    known = {*(column.name for column in columns), *cameras, *({DONE, SUCCESS} if source.ours else ())}
     labels: dict[str, Feature] = {}
     left_out: dict[str, str] = {}
     for name, about in source.features.items():
@@ -94,19 +92,19 @@ def feature_mapping(
                 key = f"observation/frames/{camera_name(name)}/rgb"
                 cameras[name] = Feature(key=key, shape=(height, width, 3), dtype="uint8", encoding="jpeg")
         elif name == "timestamp":
-            columns.append(_single(name, Feature(key="time/timestamp", shape=(), dtype="float64", unit="s")))
+            columns.append(single_column(Feature(key="time/timestamp", shape=(), dtype="float64", unit="s"), name))
         elif shape in ((), (1,)) and (dtype == TEXT or _counts_texts(source, name, dtype)):
             labels[name] = Feature(key=_extra(name), shape=(), dtype="int32")
         elif (kept := kept_dtype(dtype)) is None:
             left_out[name] = f"{dtype} of shape {shape} is neither numeric nor a text"
         else:
-            columns.append(_single(name, _feature(name, shape, kept)))
+            columns.append(single_column(_feature(name, shape, kept), name))
     by_camera = {camera_of(f.key) or "": name for name, f in cameras.items()}
     chosen = selected_cameras(by_camera, options)
-    cameras = {name: cameras[name] for camera, name in by_camera.items() if camera in chosen}
+    cameras = {name: stored_as(cameras[name], options) for camera, name in by_camera.items() if camera in chosen}
     parts = [f for column in columns for f in column.parts.features]
     parts += [*labels.values(), *cameras.values()]
-    order = (ours or {}).get("order", [])
+    order = source.ours.get("order", [])
     if not isinstance(order, list):
         raise CorruptEpisode(f"{source.root / RCS_FILE} is damaged: its order is {order!r:.80}.")
     place = {key: number for number, key in enumerate(order) if isinstance(key, str)}
@@ -125,7 +123,9 @@ def camera_name(column: str) -> str:
     return column.removeprefix(prefix)
 
 
-def _own(source: LeRobotSource, ours: Mapping[str, Any]) -> tuple[list[Column], dict[str, Feature]]:
+def _own(source: LeRobotSource) -> tuple[list[Column], dict[str, Feature]]:
+    """Return the columns and cameras that our export describes; none if it is another's."""
+    ours = source.ours
     try:
         columns = [
             Column(
@@ -170,10 +170,6 @@ def _counts_texts(source: LeRobotSource, name: str, dtype: str) -> bool:
 
 def _extra(name: str) -> str:
     return f"extra/{name.replace('/', '.')}"
-
-
-def _single(name: str, feature: Feature) -> Column:
-    return Column(name=name, dtype=feature.dtype, parts=VectorLayout(features=(feature,)))
 
 
 def _not_rgb(about: Mapping[str, Any], shape: tuple[int, ...]) -> str:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from typing_extensions import NotRequired, TypedDict
 
 from rcs_data.convert.images import as_stored
-from rcs_data.convert.lerobot.layout import TEXT
+from rcs_data.convert.lerobot.layout import RCS_FILE, TEXT
 from rcs_data.convert.lerobot.video import VideoReader
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
 from rcs_data.files.feature import Feature
@@ -182,6 +182,8 @@ class LeRobotSource:
         if not self._about:
             raise InvalidSetup(f"The LeRobot dataset in {root} has no episodes.")
         self.lengths = {index: int(row["length"]) for index, row in self._about.items()}
+        self.ours = read_json(root / RCS_FILE) if (root / RCS_FILE).is_file() else {}
+        """The contents of `meta/rcs.json`, which our exports have; empty for others."""
 
     def files(self, episodes: Sequence[int]) -> dict[Path, list[int]]:
         """Return the episodes in each Parquet file, relative to the folder."""
