@@ -92,11 +92,12 @@ class EpisodeBytes:
         except CorruptEpisode as err:
             yield self._damage("unreadable", str(err), STEPS_FILE)
             return
+        self.rows.length = first
         if pieces:
             self.rows.numbers = pa.concat_tables(pieces)
         for key in self.rows.numbers.column_names:
             numbers = flat_numbers(self.rows.numbers.column(key))
-            if first and numbers.dtype.kind == "f" and not key.startswith(NOTES):
+            if numbers.dtype.kind == "f" and not key.startswith(NOTES):
                 bad = np.flatnonzero(~np.isfinite(numbers.reshape(first, -1)).all(axis=1))
                 if len(bad):
                     yield self._place.warning("not_finite", f"{key!r} is not finite in {counted(len(bad), 'row')}", bad)

@@ -64,15 +64,11 @@ class EpisodeRows:
 
     def __init__(self, info: DatasetInfo) -> None:
         self.info = info
+        self.length = 0
         self.about: dict[str, Any] = {}
         self.frames = {f.key: FrameLog() for f in info.features if f.is_image}
         self.numbers = pa.table({})
         """All columns but images, once they are read."""
-
-    @property
-    def length(self) -> int:
-        """Number of rows."""
-        return self.numbers.num_rows
 
     def column(self, key: str) -> NDArray[Any] | None:
         """Return a column, shape (length, *feature.shape); None if the dataset has no such key."""

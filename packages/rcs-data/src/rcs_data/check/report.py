@@ -27,16 +27,10 @@ class Finding:
     rows: tuple[int, int] | None = None
     """The first and last row concerned, if known."""
 
-    @property
-    def place(self) -> str:
-        """The rows in words; empty if none are known."""
-        if self.rows is None:
-            return ""
-        first, last = self.rows
-        return f"row {first}" if first == last else f"rows {first} to {last}"
-
     def __str__(self) -> str:
-        return f"{self.severity}: {self.file}{', ' if self.rows else ''}{self.place}: {self.message}"
+        first, last = self.rows or (None, None)
+        rows = "" if first is None else f", row {first}" if first == last else f", rows {first} to {last}"
+        return f"{self.severity}: {self.file}{rows}: {self.message}"
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields as JSON values."""

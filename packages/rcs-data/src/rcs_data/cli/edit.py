@@ -162,11 +162,8 @@ class UndoCommand(_Edit):
 
 
 @dataclass(kw_only=True)
-class HistoryCommand:
+class HistoryCommand(_Edit):
     """Show the edits of a dataset."""
-
-    path: tyro.conf.Positional[Path]
-    """Folder of the dataset."""
 
     def run(self) -> int:
         """Print a line per edit."""
@@ -178,11 +175,8 @@ class HistoryCommand:
 
 
 @dataclass(kw_only=True)
-class PruneCommand:
+class PruneCommand(_Edit):
     """Free the space of replaced episodes; former edits can then not be undone."""
-
-    path: tyro.conf.Positional[Path]
-    """Folder of the dataset."""
 
     def run(self) -> int:
         """Prune and print how much was freed."""

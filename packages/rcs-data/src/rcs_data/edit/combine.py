@@ -38,8 +38,7 @@ def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProg
         raise InvalidSetup("There are no datasets to merge; give at least one.")
     datasets = [Dataset(path) for path in sources]
     names = source_names(datasets)
-    for name, dataset in list(zip(names, datasets, strict=True))[1:]:
-        _require_fit(names[0], datasets[0], name, dataset)
+    require_fit(names, [dataset.info for dataset in datasets], "`mix` fits rates, sizes and names of cameras")
     info = _merged_info(names, datasets)
     parts = [(name, dataset, dataset.episodes) for name, dataset in zip(names, datasets, strict=True)]
     with new_output(out) as partial, DatasetWriter.open(partial, info) as made:
@@ -124,13 +123,21 @@ def source_names(datasets: Sequence[Dataset]) -> list[str]:
     return names
 
 
-def _require_fit(name: str, first: Dataset, other_name: str, other: Dataset) -> None:
-    if lines := feature_differences(first.info, other.info, names=(name, other_name)):
-        text = "\n  ".join(lines)
-        raise DatasetError(
-            f"{name} and {other_name} do not fit each other; `mix` fits rates, sizes and names of cameras. "
-            f"Differences:\n  {text}"
-        )
+def require_fit(names: Sequence[str], infos: Sequence[DatasetInfo], hint: str) -> None:
+    """Refuse datasets whose features or rates differ from those of the first.
+
+    Args:
+        names: What they are called in the message.
+        infos: The facts that the episodes of each share.
+        hint: What to do, for the message.
+
+    Raises:
+        DatasetError: One differs; the message lists how, and has the hint.
+    """
+    for name, info in list(zip(names, infos, strict=True))[1:]:
+        if lines := feature_differences(infos[0], info, names=(names[0], name)):
+            text = "\n  ".join(lines)
+            raise DatasetError(f"{names[0]} and {name} do not fit each other; {hint}. Differences:\n  {text}")
 
 
 def _merged_info(names: Sequence[str], datasets: Sequence[Dataset]) -> DatasetInfo:

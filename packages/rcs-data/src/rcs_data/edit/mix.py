@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from rcs_data.edit.combine import gathered, own_parts, source_names
+from rcs_data.edit.combine import gathered, own_parts, require_fit, source_names
 from rcs_data.edit.images import cameras_of, renamed, resized, with_names, with_size
 from rcs_data.edit.rate import at_rate, resampled
-from rcs_data.errors import DatasetError, InvalidSetup
-from rcs_data.files.info import MERGED, DatasetInfo, feature_differences, shared_setup
+from rcs_data.errors import InvalidSetup
+from rcs_data.files.info import MERGED, DatasetInfo, shared_setup
 from rcs_data.files.output import OnProgress, new_output
 from rcs_data.options import Natural, Positive, Record, Whole, converted, require_whole
 from rcs_data.read.reader import Dataset, EpisodeRecord
@@ -192,15 +192,13 @@ def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Ha
     if len(states) > 1:
         infos = [replace(info, sim_state_size=None) for info in infos]
     first = infos[0]
-    for name, info in zip(names[1:], infos[1:], strict=True):
-        known = {feature.key: i for i, feature in enumerate(first.features)}
-        ordered = sorted(info.features, key=lambda feature: known.get(feature.key, len(known)))
-        if lines := feature_differences(first, replace(info, features=tuple(ordered)), names=(names[0], name)):
-            text = "\n  ".join(lines)
-            raise DatasetError(
-                f"{names[0]} and {name} do not fit each other. Leave out features (drop, common), rename cameras, "
-                f"or give one size and rate (size, frequency). Differences:\n  {text}"
-            )
+    known = {feature.key: i for i, feature in enumerate(first.features)}
+    infos = [
+        replace(info, features=tuple(sorted(info.features, key=lambda f: known.get(f.key, len(known)))))
+        for info in infos
+    ]
+    hint = "leave out features (drop, common), rename cameras, or give one size and rate (size, frequency)"
+    require_fit(names, infos, hint)
     return [replace(info, features=first.features) for info in infos]
 
 

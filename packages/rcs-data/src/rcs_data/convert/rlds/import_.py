@@ -268,16 +268,12 @@ def _record(writer: DatasetWriter, example: Mapping[str, Values], plan: _Plan, i
     yield from record_steps(writer, count, columns, about)
 
 
-def _strings(example: Mapping[str, Values], path: str) -> list[bytes]:
+def _images(example: Mapping[str, Values], path: str, feature: Feature) -> Iterator[bytes | NDArray[Any] | None]:
+    """Yield the images of an episode; None where there is none, but that of the step before."""
     values = example.get(path)
     if not isinstance(values, list):
         raise CorruptEpisode(f"An episode lacks the byte strings {path!r}, which features.json lists.")
-    return values
-
-
-def _images(example: Mapping[str, Values], path: str, feature: Feature) -> Iterator[bytes | NDArray[Any] | None]:
-    """Yield the images of an episode; None where there is none, but that of the step before."""
-    for data in _strings(example, path):
+    for data in values:
         yield as_stored(feature, data, path) if data else None
 
 
