@@ -1,7 +1,8 @@
-"""Every export says something about the episodes that it leaves out."""
+"""What all exports do with their options, with what is there already, and without a package that they need."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs_data.convert import ExportOptions, ImportOptions, export_lerobot, export_rlds, export_robomimic
 from rcs_data.convert.mcap.export import export_mcap
-from rcs_data.errors import InvalidSetup
+from rcs_data.errors import DatasetError, InvalidSetup, MissingDependency
 
 EXPORTS = [export_lerobot, export_rlds, export_robomimic, pytest.param(export_mcap, marks=pytest.mark.extras)]
 
@@ -46,6 +47,55 @@ def test_where_nothing_is_left_the_error_names_what_was_chosen(uneven: Dataset, 
     with pytest.raises(InvalidSetup, match="no step: b, c"):
         export(uneven, tmp_path / "out", ExportOptions(episodes=("b", "c")))
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("export", EXPORTS)
+@pytest.mark.parametrize(
+    ("choices", "told"),
+    [
+        ({"episodes": ("z",)}, "no episode 'z'"),
+        ({"episodes": ("a", "a")}, "given twice: a"),
+        ({"episodes": ()}, "is one with a step"),
+        ({"episodes": ("c",), "success_only": True}, "is one that succeeded"),
+        ({"cameras": ("top",)}, "no camera of this dataset named 'top'"),
+    ],
+)
+def test_a_choice_that_cannot_be_is_refused_and_leaves_nothing(
+    uneven: Dataset, tmp_path: Path, export: Any, choices: Any, told: str
+) -> None:
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(InvalidSetup, match=told):
+        export(uneven, tmp_path / "out", ExportOptions(**choices))
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("export", EXPORTS)
+def test_an_export_that_is_there_is_not_written_over(uneven: Dataset, tmp_path: Path, export: Any) -> None:
+    def files() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    export(uneven, tmp_path / "out")
+    before = files()
+    with pytest.raises(DatasetError, match="exists already"):
+        export(uneven, tmp_path / "out")
+    assert files() == before
+
+
+@pytest.mark.parametrize(
+    ("export", "package", "extra"),
+    [
+        (export_robomimic, "h5py", "hdf5"),
+        (export_rlds, "tfrecord.writer", "rlds"),
+        (export_mcap, "mcap.writer", "mcap"),
+    ],
+)
+def test_without_a_package_the_error_names_the_extra(
+    uneven: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, export: Any, package: str, extra: str
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingDependency, match=rf"rcs-data\[{extra}\]"):
+        export(uneven, tmp_path / "out")
+    assert not (tmp_path / "out" / "uneven").exists()
 
 
 @pytest.mark.parametrize(

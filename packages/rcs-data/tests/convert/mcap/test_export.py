@@ -3,7 +3,6 @@ from __future__ import annotations
 import importlib
 import io
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs_data.convert.mcap.export import export_mcap, row_times
 from rcs_data.convert.options import ExportOptions
-from rcs_data.errors import DatasetError, InvalidSetup, MissingDependency
 from rcs_data.files.durable import sealed, unsealed
 
 Messages = dict[str, list[tuple[int, Any]]]
@@ -145,21 +143,3 @@ def test_a_file_says_where_it_is_from(source: Dataset, tmp_path: Path) -> None:
     provenance = json.loads(metadata.metadata["provenance"])
     assert (provenance["episode"], provenance["seed"], provenance["success"]) == ("take-1", 101, False)
     assert not [topic for topic in topics if "side" in topic]
-
-
-@pytest.mark.extras
-def test_what_makes_no_export_is_refused_and_leaves_nothing(source: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(InvalidSetup, match="front"):
-        export_mcap(source, tmp_path / "out", ExportOptions(cameras=("front",)))
-    assert not (tmp_path / "out").exists()
-    export_mcap(source, tmp_path / "out")
-    with pytest.raises(DatasetError, match="exists already"):
-        export_mcap(source, tmp_path / "out")
-
-
-def test_without_mcap_the_error_names_the_extra(
-    source: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    with pytest.raises(MissingDependency, match=r"rcs-data\[mcap\]"):
-        export_mcap(source, tmp_path / "out")

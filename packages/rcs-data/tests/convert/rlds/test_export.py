@@ -167,9 +167,6 @@ def test_episodes_and_cameras_are_chosen(dataset: Path, tmp_path: Path, examples
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (ExportOptions(episodes=()), "is one with a step"),
-        (ExportOptions(episodes=("000001",), success_only=True), "is one that succeeded"),
-        (ExportOptions(cameras=("front",)), "front"),
         (ExportOptions(extra=("observation/frames/wrist/rgb",)), "cannot be extra"),
         (ExportOptions(name="pick-cuboid"), "letters, digits"),
         (ExportOptions(name="3pick"), "first a letter"),
