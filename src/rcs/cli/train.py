@@ -16,7 +16,6 @@ from rcs_data.cli.console import plain_console
 from rcs_data.cli.convert import ExportCommand
 from rcs_data.cli.program import INTERRUPTED
 from rcs_data.convert.options import ExportOptions
-from rcs_data.convert.recipe.contents import contents
 from rcs_data.convert.recipe.recipe import LerobotPolicy
 from rcs_data.convert.recipe.recipe import recipe as lerobot_recipe
 from rcs_data.read.verdicts import wilson_interval
@@ -125,7 +124,7 @@ class TrainCommand:
             )
         dataset, options = Dataset.open(path), ExportOptions(state=self.state)
         out = self.out or Path("runs", f"{path.resolve().name}-{policy}-{self.course.seed}")
-        made = lerobot_recipe(policy, contents(dataset, options))
+        made = lerobot_recipe(policy, dataset, options)
         state = None if self.state is None else [*self.state]
         source = {"policy": policy, "digest": dataset.digest(), "state": state}
         _check_source(out, source)

@@ -14,7 +14,6 @@ from rcs_data.cli.console import plain_console, progress
 from rcs_data.convert.formats import export_format, import_format
 from rcs_data.convert.lerobot.hub import pull, push
 from rcs_data.convert.options import ExportOptions, ImportOptions
-from rcs_data.convert.recipe.contents import contents
 from rcs_data.convert.recipe.recipe import Base, Family, recipe
 from rcs_data.read.verdicts import Verdicts
 
@@ -142,7 +141,7 @@ class RecipeCommand:
     def run(self) -> int:
         """Write the files and print the commands that follow."""
         options = ExportOptions(name=self.name, state=self.state, action=self.action, cameras=self.cameras)
-        made = recipe(self.family, contents(Dataset.open(self.path), options), self.base)
+        made = recipe(self.family, Dataset.open(self.path), options, self.base)
         made.write(self.out)
         console = plain_console()
         for file in made.files:

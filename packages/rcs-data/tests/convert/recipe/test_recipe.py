@@ -14,7 +14,6 @@ import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs_data.cli.convert import RecipeCommand
 from rcs_data.convert import ExportOptions, export_lerobot, export_rlds
-from rcs_data.convert.recipe.contents import contents
 from rcs_data.convert.recipe.recipe import Family, Recipe, recipe
 from rcs_data.errors import InvalidSetup
 from vlagents.policies.settings import Settings
@@ -78,7 +77,7 @@ def code(made: Recipe) -> str:
 @pytest.mark.parametrize("family", get_args(Family))
 def test_what_is_written_is_python_and_settings_that_vlagents_reads(family: Family, make: Make) -> None:
     dataset = Dataset.open(make())
-    made = recipe(family, contents(dataset))
+    made = recipe(family, dataset)
     settings = Settings.from_dict(json.loads(made.files["vlagents.json"]))
     assert (settings.dataset, settings.rate) == ("pick_it", 10.0)
     assert settings.data_hash == dataset.digest()
@@ -99,19 +98,19 @@ def test_openpi_is_told_the_columns_of_our_lerobot_export(make: Make, tmp_path: 
     dataset = Dataset.open(make())
     export_lerobot(dataset, tmp_path / "out", ExportOptions(), version="2.1")
     features = json.loads((tmp_path / "out/meta/info.json").read_text())["features"]
-    said = assigned(code(recipe("openpi", contents(dataset))))
+    said = assigned(code(recipe("openpi", dataset)))
     assert set(said["COLUMNS"].values()) == {name for name in features if name.startswith("observation.images.")}
     assert [said["STATE_SIZE"], said["ACTION_SIZE"]] == [
         features["observation.state"]["shape"][0],
         features["action"]["shape"][0],
     ]
     assert said["SLOTS"] == {"base_0_rgb": "observation/side", "left_wrist_0_rgb": "observation/wrist"}
-    settings = json.loads(recipe("openpi", contents(dataset)).files["vlagents.json"])
+    settings = json.loads(recipe("openpi", dataset).files["vlagents.json"])
     assert set(settings["images"]) == set(said["COLUMNS"]) == set(said["SLOTS"].values())
 
 
 def test_lerobot_is_told_how_long_a_second_is_and_where_the_pictures_are(make: Make) -> None:
-    found = contents(Dataset.open(make("joints", "absolute")))
+    found = Dataset.open(make("joints", "absolute"))
     options = json.loads(recipe("act", found).files["lerobot.json"])
     assert (options["policy.type"], options["policy.chunk_size"], options["dataset.repo_id"]) == (
         "act",
@@ -122,7 +121,7 @@ def test_lerobot_is_told_how_long_a_second_is_and_where_the_pictures_are(make: M
     assert settings.images == {"wrist": "wrist", "side": "side"}
     assert [part.name for part in settings.state] == ["joints", "gripper"]
     with pytest.raises(InvalidSetup, match="no camera"):
-        recipe("act", contents(Dataset.open(make(cameras=()))))
+        recipe("act", Dataset.open(make(cameras=())))
 
 
 @pytest.mark.parametrize("family", ["octo", "openvla"])
@@ -132,7 +131,7 @@ def test_octo_and_openvla_are_told_the_names_of_our_rlds_export(family: Family, 
     steps = json.loads((report.path / "features.json").read_text())["featuresDict"]["features"]["steps"]
     known = steps["sequence"]["feature"]["featuresDict"]["features"]
     pictures = known["observation"]["featuresDict"]["features"]
-    text = code(recipe(family, contents(dataset)))
+    text = code(recipe(family, dataset))
     if family == "octo":
         said = assigned(text)
         assert said["IMAGES"] == {"primary": "image_side", "wrist": "image_wrist"}
@@ -150,37 +149,38 @@ def test_octo_and_openvla_are_told_the_names_of_our_rlds_export(family: Family, 
     ("relative", "meaning"), [("absolute", "absolute"), ("origin", "relative"), ("last_step", "delta")]
 )
 def test_the_setup_says_what_an_action_counts_from(relative: str, meaning: str, make: Make) -> None:
-    found = contents(Dataset.open(make("joints", relative)))
-    assert [(part.name, part.meaning) for part in found.action] == [("joints", meaning), ("gripper", "absolute")]
+    made = recipe("openpi", Dataset.open(make("joints", relative)))
+    action = json.loads(made.files["vlagents.json"])["action"]
+    assert [(part["name"], part["meaning"]) for part in action] == [("joints", meaning), ("gripper", "absolute")]
     # Joints that are absolute become relative to the state, which has them in the same place.
-    delta = assigned(code(recipe("openpi", found)))["DELTA"]
+    delta = assigned(code(made))["DELTA"]
     assert delta == ([True] * 7 if meaning == "absolute" else None)
 
 
 def test_poses_are_never_subtracted(make: Make) -> None:
-    assert assigned(code(recipe("openpi", contents(Dataset.open(make("tquat", "absolute"))))))["DELTA"] is None
+    assert assigned(code(recipe("openpi", Dataset.open(make("tquat", "absolute")))))["DELTA"] is None
 
 
 def test_actions_of_unknown_meaning_are_refused(make: Make) -> None:
     with pytest.raises(InvalidSetup, match="absolute, origin, last_step"):
-        contents(Dataset.open(make("joints", "sometimes")))
+        recipe("act", Dataset.open(make("joints", "sometimes")))
 
 
 def test_openvla_refuses_what_it_would_not_load(make: Make) -> None:
     for control, relative in (("joints", "last_step"), ("xyzrpy", "absolute")):
         with pytest.raises(InvalidSetup, match="--control xyzrpy, and without --relative absolute"):
-            recipe("openvla", contents(Dataset.open(make(control, relative))))
+            recipe("openvla", Dataset.open(make(control, relative)))
 
 
 def test_a_dataset_without_pictures_and_one_with_too_many_are_refused(make: Make) -> None:
     with pytest.raises(InvalidSetup, match="no camera"):
-        recipe("octo", contents(Dataset.open(make(cameras=()))))
+        recipe("octo", Dataset.open(make(cameras=())))
     with pytest.raises(InvalidSetup, match="see three"):
-        recipe("openpi", contents(Dataset.open(make(cameras=("a", "b", "c", "d")))))
+        recipe("openpi", Dataset.open(make(cameras=("a", "b", "c", "d"))))
 
 
 def test_octo_without_a_wrist_camera_drops_what_looks_at_it(make: Make) -> None:
-    assert assigned(code(recipe("octo", contents(Dataset.open(make(cameras=("side",)))))))["IMAGES"]["wrist"] is None
+    assert assigned(code(recipe("octo", Dataset.open(make(cameras=("side",))))))["IMAGES"]["wrist"] is None
 
 
 def test_the_command_writes_the_files_and_says_how_to_go_on(

@@ -6,15 +6,19 @@ user, and after a line of dashes the file itself.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from pprint import pformat
 from string import Template
 from typing import Any, Literal
 
-from rcs_data.convert.recipe.contents import POSE, Contents
+from rcs_data.convert.options import ExportOptions, export_name, selected_cameras
 from rcs_data.errors import InvalidSetup, UnknownName
+from rcs_data.files.feature import Feature
+from rcs_data.read.reader import Dataset
+from rcs_data.read.trajectory import VectorLayout, action_layout, camera_features, state_layout
 
 Family = Literal["act", "diffusion", "smolvla", "openpi", "octo", "openvla"]
 LerobotPolicy = Literal["act", "diffusion", "smolvla"]
@@ -30,6 +34,76 @@ _MODELS: dict[str, str] = {
     "pi0_fast": "pi0_fast.Pi0FASTConfig(action_dim=ACTION_SIZE, action_horizon=16)",
 }
 _SLOTS = ("base_0_rgb", "left_wrist_0_rgb", "right_wrist_0_rgb")
+
+Meaning = Literal["absolute", "relative", "delta"]
+"""Where to go, how far from the episode's origin, or how far from the action before; as in vlagents."""
+
+_MEANINGS: dict[str, Meaning] = {"absolute": "absolute", "origin": "relative", "last_step": "delta"}
+_ARMS = ("joints", "tquat", "xyzrpy")
+_POSE = "xyzrpy"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A part of a vector."""
+
+    name: str
+    """Such as "joints", or "left/joints" with several robots."""
+    size: int
+    """How many numbers it has."""
+    unit: str
+    """The unit of its numbers."""
+    meaning: Meaning = "absolute"
+    """The meaning of an action."""
+
+    @property
+    def is_arm(self) -> bool:
+        """Whether it moves an arm."""
+        return self.name.rpartition("/")[2] in _ARMS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """The contents of a dataset for a policy: cameras, parts of state and action, and the meaning of an action."""
+
+    name: str
+    """The name of the dataset, in letters, digits and "_"."""
+    digest: str
+    """The hash of its episodes."""
+    instruction: str
+    """The instruction; an episode may have another."""
+    rate: float
+    """Steps per second [Hz]."""
+    cameras: dict[str, tuple[int, int]]
+    """Height and width [pixels] by camera."""
+    state: tuple[Part, ...]
+    """Parts of the state, in order."""
+    action: tuple[Part, ...]
+    """Parts of the action, in order."""
+
+    @property
+    def scene_camera(self) -> str:
+        """The first camera that is not called after a wrist, which shows the scene; there must be one."""
+        return next((name for name in self.cameras if "wrist" not in name.lower()), next(iter(self.cameras)))
+
+    @property
+    def wrist_cameras(self) -> tuple[str, ...]:
+        """Cameras called after a wrist."""
+        return tuple(name for name in self.cameras if "wrist" in name.lower() and name != self.scene_camera)
+
+    def settings(self, *, images: dict[str, str], has_state: bool, **options: Any) -> str:
+        """Return `vlagents.json`, with which the trained checkpoint is served.
+
+        Args:
+            images: Camera by the model's name of a picture.
+            has_state: Whether the model observes the state.
+            options: Options of the family besides.
+        """
+        values: dict[str, Any] = {"dataset": self.name, "data_hash": self.digest, "images": images}
+        if has_state:
+            values["state"] = [asdict(part) for part in self.state]
+        values |= {"action": [asdict(part) for part in self.action], "rate": self.rate}
+        return json.dumps(values | ({"options": options} if options else {}), indent=2) + "\n"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,23 +124,26 @@ class Recipe:
             (folder / name).write_text(text, encoding="utf-8")
 
 
-def recipe(family: Family, contents: Contents, base: Base = "pi05") -> Recipe:
+def recipe(family: Family, dataset: Dataset, options: ExportOptions | None = None, base: Base = "pi05") -> Recipe:
     """Return what a family's trainer needs, and `vlagents.json` to serve the result with.
 
     Args:
         family: Family of the policy that learns.
-        contents: The data that it learns from.
+        dataset: The data that it learns from.
+        options: How that is exported.
         base: The published model that openpi begins with.
 
     Raises:
         UnknownName: There is no such family or base.
-        InvalidSetup: The dataset has no camera, more than openpi sees, or actions that OpenVLA does not load.
+        InvalidSetup: An option does not suit the dataset, or nobody knows what its actions mean; it has no camera, more
+            than openpi sees, or actions that OpenVLA does not load.
     """
     makers = {"openpi": _openpi, "octo": _octo, "openvla": _openvla, **dict.fromkeys(_LEROBOT, _lerobot)}
     if family not in makers:
         raise UnknownName("family of policies", family, makers)
     if base not in _MODELS:
         raise UnknownName("model of openpi", base, _MODELS)
+    contents = _contents(dataset, options or ExportOptions())
     if not contents.cameras:
         raise InvalidSetup("The dataset has no camera, and these policies look at pictures.")
     words, settings = makers[family](contents)
@@ -75,8 +152,8 @@ def recipe(family: Family, contents: Contents, base: Base = "pi05") -> Recipe:
         "facts": _facts(contents),
         "base": base,
         "model": _MODELS[base],
-        "state_size": contents.state_size,
-        "action_size": contents.action_size,
+        "state_size": sum(part.size for part in contents.state),
+        "action_size": sum(part.size for part in contents.action),
     }
     head, _, body = Path(__file__).with_name(f"{family}.txt").read_text("utf-8").partition("\n---\n")
     first, *steps = head.split("\n")
@@ -92,6 +169,42 @@ _LEROBOT = ("act", "diffusion", "smolvla")
 _Words = tuple[dict[str, Any], dict[str, Any]]
 
 
+def _contents(dataset: Dataset, options: ExportOptions) -> Contents:
+    """Return what a policy learns from a dataset that is exported with these options."""
+    info = dataset.info
+    shown = camera_features(info)
+    state, action = state_layout(info, options.state), action_layout(info, options.action)
+    return Contents(
+        name=export_name(dataset, options),
+        digest=dataset.digest(),
+        instruction=info.instruction,
+        rate=info.frequency,
+        cameras={name: (shown[name].shape[0], shown[name].shape[1]) for name in selected_cameras([*shown], options)},
+        state=tuple(_part(feature) for feature in state.features),
+        action=_action_parts(action, info.setup),
+    )
+
+
+def _part(feature: Feature) -> Part:
+    return Part(name="/".join(feature.key.split("/")[1:]), size=feature.size, unit=feature.unit)
+
+
+def _action_parts(layout: VectorLayout, setup: dict[str, Any]) -> tuple[Part, ...]:
+    parts: list[Part] = []
+    for feature in layout.features:
+        part = _part(feature)
+        if part.is_arm and feature.key.startswith("action/"):
+            relative = setup.get("relative")
+            if relative not in _MEANINGS:
+                raise InvalidSetup(
+                    f"The dataset's setup does not say what {feature.key!r} counts from: relative is {relative!r}; "
+                    f"valid are {', '.join(_MEANINGS)}. With executed/{part.name} for the action, it is absolute."
+                )
+            part = replace(part, meaning=_MEANINGS[relative])
+        parts.append(part)
+    return tuple(parts)
+
+
 def _lerobot(contents: Contents) -> _Words:
     """Return the words of a template, and the settings to serve the result with."""
     images = {camera.replace("/", "."): camera for camera in contents.cameras}
@@ -102,13 +215,14 @@ def _octo(contents: Contents) -> _Words:
     wrist = next(iter(contents.wrist_cameras), None)
     columns = {"primary": _column(contents.scene_camera), "wrist": None if wrist is None else _column(wrist)}
     images = {"image_primary": contents.scene_camera} | ({} if wrist is None else {"image_wrist": wrist})
-    words = {"images": pformat(columns, sort_dicts=False), "mask": repr(contents.arm_mask)}
+    mask = [part.is_arm for part in contents.action for _ in range(part.size)]  # others are of grippers and hands
+    words = {"images": pformat(columns, sort_dicts=False), "mask": repr(mask)}
     return words, {"images": images, "has_state": False}
 
 
 def _openvla(contents: Contents) -> _Words:
     action = [(part.name.rpartition("/")[2], part.meaning) for part in contents.action]
-    if action != [(POSE, "delta"), ("gripper", "absolute")]:
+    if action != [(_POSE, "delta"), ("gripper", "absolute")]:
         found = ", ".join(f"{part.name} ({part.meaning})" for part in contents.action)
         raise InvalidSetup(
             f"OpenVLA loads actions that are xyzrpy relative to the last step and gripper; this dataset has {found}. "
