@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from rcs_data.convert.labels import LABELS, numbered
 from rcs_data.convert.lerobot.layout import PROVENANCE_FILE, SUCCESS
@@ -80,43 +79,40 @@ class _Reading:
 
     def episodes(self, chosen: Iterable[int]) -> Iterator[tuple[int, Record]]:
         """Yield what records each episode; those that cannot be read are left out, if that is allowed."""
-        for path, episodes in self.source.files([*chosen]).items():
-            left = dict.fromkeys(episodes)
+        for path, numbers in self.source.files([*chosen]).items():
+            left = dict.fromkeys(numbers)
             try:
-                for index, table in self.source.rows(path, episodes):
-                    del left[index]
-                    yield index, partial(self._record, index=index, table=table)
+                for episode in self.source.episodes(path, numbers):
+                    del left[episode.index]
+                    yield episode.index, partial(self._record, episode=episode)
             except CorruptEpisode as err:
                 for index in left:
                     leave_out(f"Episode {index}", err, self.options)
 
-    def _record(self, writer: DatasetWriter, index: int, table: pa.Table) -> Iterator[int]:
-        source, mapping = self.source, self.mapping
-        videos = {name: source.video(name, index) for name in mapping.cameras if source.is_video(name)}
-        episode = SourceEpisode(index=index, table=table, videos=videos)
+    def _record(self, writer: DatasetWriter, episode: SourceEpisode) -> Iterator[int]:
         columns: list[StepColumn] = []
-        for column in mapping.columns:
+        for column in self.mapping.columns:
             numbers = episode.numbers(column.name, (column.parts.size,))
             parts = column.parts.slices
             columns += [StepColumn(feature=f, values=numbers[:, parts[f.key]]) for f in column.parts.features]
         texts: dict[str, list[str]] = {}
-        for name, feature in mapping.labels.items():
-            values, texts[feature.key] = numbered(source.texts(name, table))
+        for name, feature in self.mapping.labels.items():
+            values, texts[feature.key] = numbered(episode.texts(name))
             columns.append(StepColumn(feature=feature, values=values))
-        for name, feature in mapping.cameras.items():
-            columns.append(StepColumn(feature=feature, values=episode.images(name, feature, self.readers, source.fps)))
-        tasks = list(dict.fromkeys(source.texts("task_index", table) if "task_index" in table.column_names else []))
-        origin, imported = self.provenance.get(index), {"episode": index, "tasks": tasks}
-        about = (
-            EpisodeAbout(id=f"{index:06d}", success=_success(episode), imported=imported)
-            if origin is None
-            else EpisodeAbout.of_provenance(origin, imported)
-        )
-        words = (*tasks[:1], self.options.instruction, writer.info.instruction)
-        instruction = next(filter(None, words), "") if origin is None else about.instruction
-        outcome = {**about.outcome, LABELS: texts} if texts else about.outcome
-        about = replace(about, instruction=instruction, outcome=outcome)
-        return record_steps(writer, len(table), columns, about)
+        for name, feature in self.mapping.cameras.items():
+            columns.append(StepColumn(feature=feature, values=episode.images(name, feature, self.readers)))
+        has_tasks = "task_index" in episode.table.column_names
+        tasks = list(dict.fromkeys(episode.texts("task_index") if has_tasks else []))
+        origin, imported = self.provenance.get(episode.index), {"episode": episode.index, "tasks": tasks}
+        if origin is not None:
+            about = EpisodeAbout.of_provenance(origin, imported)
+        else:
+            words = next(filter(None, (*tasks[:1], self.options.instruction, writer.info.instruction)), "")
+            success = _success(episode)
+            about = EpisodeAbout(id=f"{episode.index:06d}", instruction=words, success=success, imported=imported)
+        if texts:
+            about = replace(about, outcome={**about.outcome, LABELS: texts})
+        return record_steps(writer, len(episode.table), columns, about)
 
 
 def _success(episode: SourceEpisode) -> bool | None:
@@ -166,10 +162,9 @@ def _carrying(source: LeRobotSource, chosen: Iterable[int], options: ImportOptio
     """Return which of LeRobot's own columns carry something: stamps off the grid, a task that changes."""
     names = [name for name in ("timestamp", "frame_index", "task_index") if name in source.features]
     found: set[str] = set()
-    for path, episodes in source.files([*chosen]).items():
+    for path, numbers in source.files([*chosen]).items():
         try:
-            for index, table in source.rows(path, episodes, names):
-                episode = SourceEpisode(index=index, table=table, videos={})
+            for episode in source.episodes(path, numbers, names):
                 values = {name: episode.numbers(name, ()) for name in names}
                 if "task_index" in names and len(set(values["task_index"].tolist())) > 1:
                     found.add("task_index")

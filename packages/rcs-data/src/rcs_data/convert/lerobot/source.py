@@ -75,12 +75,12 @@ class VideoPlace:
 class SourceEpisode:
     """One episode as stored."""
 
+    source: LeRobotSource
+    """Its dataset."""
     index: int
     """Its number."""
     table: pa.Table
     """Its frames without videos."""
-    videos: dict[str, VideoPlace]
-    """Its videos by column."""
 
     def numbers(self, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
         """Return a column of numbers, shape (frames, *shape); CorruptEpisode if there are too few or too many."""
@@ -97,8 +97,16 @@ class SourceEpisode:
             )
         return numbers.reshape(rows, *shape)
 
+    def texts(self, name: str) -> list[str]:
+        """Return the text of every row of a column: its own, or that which its number stands for."""
+        values = self.table.column(name).to_pylist()
+        if self.source.features[name]["dtype"] == TEXT:
+            return [mended_text(str(value or "")) for value in values]
+        known = self.source.subtasks if name == "subtask_index" else self.source.tasks
+        return [known.get(value, str(value)) for value in values]
+
     def images(
-        self, name: str, feature: Feature, readers: dict[str, VideoReader], fps: float
+        self, name: str, feature: Feature, readers: dict[str, VideoReader]
     ) -> Iterator[NDArray[np.uint8] | bytes]:
         """Yield the images of a column one by one: as they are where the feature keeps such, else as arrays.
 
@@ -106,16 +114,15 @@ class SourceEpisode:
             name: The column.
             feature: The feature that they become.
             readers: Open videos by column, kept between calls, since the next episode may continue in the same one.
-            fps: Frames per second.
 
         Raises:
             CorruptEpisode: An image is missing, damaged, or of another shape.
         """
-        if name not in self.videos:
+        if not self.source.is_video(name):
             for data in self._stored(name):
                 yield as_stored(feature, data, f"{name!r} in episode {self.index}")
             return
-        for image in self._filmed(name, readers, fps):
+        for image in self._filmed(name, readers):
             if image.shape != feature.shape:
                 raise CorruptEpisode(
                     f"Image of {name!r} in episode {self.index}: expected {feature.shape}; got {image.shape}."
@@ -127,14 +134,14 @@ class SourceEpisode:
             raise CorruptEpisode(f"Episode {self.index} has no column {name!r}, which info.json describes.")
         return self.table.column(name)
 
-    def _filmed(self, name: str, readers: dict[str, VideoReader], fps: float) -> Iterator[NDArray[np.uint8]]:
-        place = self.videos[name]
+    def _filmed(self, name: str, readers: dict[str, VideoReader]) -> Iterator[NDArray[np.uint8]]:
+        place = self.source.video(name, self.index)
         if name in readers and readers[name].path != place.path:
             readers.pop(name).close()
         if name not in readers:
             refuse_pointer(place.path)
             readers[name] = VideoReader(place.path)
-        yield from readers[name].frames(place.start, len(self.table), fps)
+        yield from readers[name].frames(place.start, len(self.table), self.source.fps)
 
     def _stored(self, name: str) -> Iterator[bytes]:
         for item in self._column(name):
@@ -205,15 +212,15 @@ class LeRobotSource:
         where = {"video_key": name, **self._place(f"videos/{name}", index)}
         return VideoPlace(path=self.root / filled(self.info.get("video_path"), where), start=float(start))
 
-    def rows(
-        self, path: Path, episodes: Sequence[int], columns: Sequence[str] | None = None
-    ) -> Iterator[tuple[int, pa.Table]]:
-        """Yield the rows of a file's `episodes`, one episode at a time in memory; of all `columns` if they are None.
+    def episodes(
+        self, path: Path, numbers: Sequence[int], columns: Sequence[str] | None = None
+    ) -> Iterator[SourceEpisode]:
+        """Yield the episodes of these numbers in a file, one at a time in memory; with all `columns` if they are None.
 
         Raises:
             CorruptEpisode: Rows are missing or damaged.
         """
-        left = set(episodes)
+        left = set(numbers)
         file = self.root / path
         with _opened(file) as source:
             kept = None if columns is None else ["episode_index", *columns]
@@ -229,17 +236,9 @@ class LeRobotSource:
                     if len(rows) != (length := self.lengths[index]):
                         raise CorruptEpisode(f"Episode {index} of {self.root} has {len(rows)} rows; expected {length}.")
                     left.remove(index)
-                    yield index, rows
+                    yield SourceEpisode(source=self, index=index, table=rows)
         if left:
             raise CorruptEpisode(f"Episodes {sorted(left)[:10]} of {self.root} are described but have no rows.")
-
-    def texts(self, name: str, table: pa.Table) -> list[str]:
-        """Return the text of every row of a column: its own, or that which its number stands for."""
-        values = table.column(name).to_pylist()
-        if self.features[name]["dtype"] == TEXT:
-            return [mended_text(str(value or "")) for value in values]
-        known = self.subtasks if name == "subtask_index" else self.tasks
-        return [known.get(value, str(value)) for value in values]
 
     def _place(self, what: str, index: int) -> dict[str, object]:
         if self.version == "v3.0":
