@@ -29,7 +29,7 @@ class Stored:
     dtype: str = ""
     """A numpy dtype name, or "string"."""
     about: str = ""
-    """The encoding of images, "jpeg", "png" or "" if each may have another; else the class."""
+    """The class, if it cannot be imported."""
 
 
 def tensor(shape: tuple[int, ...], dtype: str) -> Spec:
@@ -104,8 +104,7 @@ def _leaves(path: str, spec: Mapping[str, Any]) -> Iterator[tuple[str, Stored]]:
         yield from _leaves(path, spec["sequence"]["feature"])
     elif kind == "Image":
         about = spec["image"]
-        encoding, dtype = str(about.get("encodingFormat", "")), str(about.get("dtype") or "uint8")
-        yield path, Stored(kind="image", shape=_dimensions(about), dtype=dtype, about=encoding)
+        yield path, Stored(kind="image", shape=_dimensions(about), dtype=str(about.get("dtype") or "uint8"))
     elif kind in ("Tensor", "Scalar"):
         about = spec["tensor"]
         dtype, shape = str(about["dtype"]), _dimensions(about)
