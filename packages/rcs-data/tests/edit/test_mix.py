@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -153,8 +154,6 @@ def test_features_to_leave_out_that_are_not_there_are_named(tmp_path: Path, sim:
 
 
 def test_codes_with_other_words_do_not_mix(tmp_path: Path, make_dataset: MakeDataset, sim: Path) -> None:
-    from dataclasses import replace
-
     info = Dataset.open(sim).info
     for name, words in (("a", ("policy", "person")), ("b", ("page", "agent"))):
         note = Feature(key="notes/actor", shape=(), dtype="uint8", words=words)
@@ -164,8 +163,6 @@ def test_codes_with_other_words_do_not_mix(tmp_path: Path, make_dataset: MakeDat
 
 
 def test_another_number_of_joints_is_refused(tmp_path: Path, make_dataset: MakeDataset, sim: Path) -> None:
-    from dataclasses import replace
-
     info = Dataset.open(sim).info
     features = [replace(f, shape=(5,)) if f.key.endswith("joints") else f for f in info.features]
     other = tmp_path / "other"

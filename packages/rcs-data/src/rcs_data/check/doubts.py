@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -59,10 +60,7 @@ _FASTEST = 6.5
 
 def check_labels(place: EpisodePlace, about: dict[str, Any]) -> Iterator[Finding]:
     """Yield findings about the labels of one episode, given the contents of its `episode.json`."""
-
-    def warning(kind: str, message: str) -> Finding:
-        return place.finding("warning", kind, message, file=EPISODE_FILE)
-
+    warning = partial(place.finding, "warning", file=EPISODE_FILE)
     outcome: Any = about.get("outcome")
     failure = outcome.get("failure") if isinstance(outcome, dict) else None
     if about.get("success") is True and failure:

@@ -139,7 +139,7 @@ def record_steps(
         for i in range(steps + 1):
             row = {column.feature.key: _value(column, values, i, steps, row) for column, values in given}
             for key, flags in flagged.items():
-                if i and _is_repeated(row[flags]):
+                if i and row[flags] is not None and int(np.asarray(row[flags])) & FrameFlag.REPEATED:
                     row[key] = None
             episode.add(row)
             yield i
@@ -169,11 +169,6 @@ def _value(column: StepColumn, values: Iterator[Any], row: int, steps: int, befo
     value = np.asarray(value, feature.numpy_dtype).reshape(feature.shape)[()]
     unknown = (row == 0 and feature.is_unknown_at_reset) or (feature.is_time and not np.isfinite(value))
     return None if unknown else value
-
-
-def _is_repeated(flags: Value) -> bool:
-    """Return whether an image is that of the row before."""
-    return flags is not None and bool(int(np.asarray(flags)) & FrameFlag.REPEATED)
 
 
 _ENDED = object()

@@ -108,17 +108,12 @@ class _Reading:
             about = EpisodeAbout.of_provenance(origin, imported)
         else:
             words = next(filter(None, (*tasks[:1], self.options.instruction, writer.info.instruction)), "")
-            success = _success(episode)
+            has_success = SUCCESS in episode.table.column_names
+            success = bool(np.any(episode.numbers(SUCCESS, (1,)))) if has_success else None
             about = EpisodeAbout(id=f"{episode.index:06d}", instruction=words, success=success, imported=imported)
         if texts:
             about = replace(about, outcome={**about.outcome, LABELS: texts})
         return record_steps(writer, len(episode.table), columns, about)
-
-
-def _success(episode: SourceEpisode) -> bool | None:
-    if SUCCESS in episode.table.column_names:
-        return bool(np.any(episode.numbers(SUCCESS, (1,))))
-    return None
 
 
 def _provenance(source: LeRobotSource) -> dict[int, dict[str, Any]]:

@@ -44,6 +44,7 @@ _SINGLES = {REWARD: "reward", "reward": "reward", TERMINATED: "terminated", TRUN
 # Names in openpi's examples and converters in use (LIBERO, DROID, ALOHA).
 _STATES = re.compile(r"state|proprio|qpos|(joint|gripper|cartesian)_(position|velocity)")
 _MASK = re.compile(r"(.*[._])?(mask|is_pad)")
+# The camera of "observation.images.wrist" is "wrist"; that of "observation.image" is "image".
 _PREFIXES = ("observation.images.", "observations.images.", "observation.image.", "observation.")
 
 
@@ -89,7 +90,8 @@ def feature_mapping(source: LeRobotSource, options: ImportOptions, carrying: Ite
                 left_out[name] = reason
             else:
                 height, width, _ = _sizes(shape, about.get("names"))
-                key = f"observation/frames/{camera_name(name)}/rgb"
+                prefix = next((prefix for prefix in _PREFIXES if name.startswith(prefix)), "")
+                key = f"observation/frames/{name.removeprefix(prefix)}/rgb"
                 cameras[name] = Feature(key=key, shape=(height, width, 3), dtype="uint8", encoding="jpeg")
         elif name == "timestamp":
             columns.append(single_column(Feature(key="time/timestamp", shape=(), dtype="float64", unit="s"), name))
@@ -115,12 +117,6 @@ def feature_mapping(source: LeRobotSource, options: ImportOptions, carrying: Ite
         features=tuple(sorted(parts, key=lambda f: place.get(f.key, len(place)))),
         left_out=left_out,
     )
-
-
-def camera_name(column: str) -> str:
-    """Return the camera of a column: "wrist" of "observation.images.wrist", "image" of "observation.image"."""
-    prefix = next((prefix for prefix in _PREFIXES if column.startswith(prefix)), "")
-    return column.removeprefix(prefix)
 
 
 def _own(source: LeRobotSource) -> tuple[list[Column], dict[str, Feature]]:
