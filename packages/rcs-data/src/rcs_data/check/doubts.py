@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
 from rcs_data.check.report import Finding, counted, listed
 from rcs_data.files.feature import SIMULATED_TIME
-from rcs_data.files.flags import FrameFlag, time_key
+from rcs_data.files.flags import FrameFlag, flags_key, time_key
 from rcs_data.files.joint_bounds import JointBounds
 from rcs_data.files.layout import EPISODE_FILE, EPISODES_FOLDER
 
@@ -135,8 +135,8 @@ def _periods(place: EpisodePlace, rows: EpisodeRows, is_resampled: bool) -> Iter
 
 
 def _camera_flags(place: EpisodePlace, rows: EpisodeRows) -> Iterator[Finding]:
-    for camera, keys in rows.cameras.items():
-        flags = rows.flags(keys[0])
+    for camera in rows.cameras:
+        flags = rows.column(flags_key(camera))
         if flags is None:
             continue
         for flag, (kind, meaning) in _FLAGS.items():

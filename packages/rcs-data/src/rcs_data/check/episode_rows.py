@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rcs_data.check.report import Finding, Severity
 from rcs_data.files.feature import SIMULATED_TIME, Feature
-from rcs_data.files.flags import camera_of, companion
+from rcs_data.files.flags import camera_of
 from rcs_data.files.info import DatasetInfo
 from rcs_data.files.layout import STEPS_FILE
 from rcs_data.read.content import flat_numbers
@@ -90,11 +90,6 @@ class EpisodeRows:
         for key in self.frames:
             cameras.setdefault(camera_of(key) or key, []).append(key)
         return cameras
-
-    def flags(self, key: str) -> NDArray[np.uint8] | None:
-        """Return the flags beside an image; None if there are none."""
-        name = companion(key, self.info.features, "flags")
-        return None if name is None else self.column(name)
 
     def seconds_per_step(self) -> NDArray[np.float64]:
         """Return how long each step took [s], shape (length - 1,), at least the nominal period."""

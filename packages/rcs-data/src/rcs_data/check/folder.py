@@ -109,10 +109,10 @@ def check_index(root: Path) -> tuple[Contents | None, list[Finding]]:
                 findings.append(Finding("damage", "altered", None, INDEX_FILE, str(err)))
     findings += [*_check_infos(root), *_check_history(root)]
     info = next((found for path in (root / DATASET_FILE, copy) if (found := _readable(path)) is not None), None)
-    return (None if info is None else Contents(info, whole_entries(root))), findings
+    return (None if info is None else Contents(info, _whole_entries(root))), findings
 
 
-def whole_entries(root: Path) -> dict[str, Entry]:
+def _whole_entries(root: Path) -> dict[str, Entry]:
     """Return what the lines of the index that are not damaged say, by id."""
     found: dict[str, Entry] = {}
     path = root / INDEX_FILE

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from rcs_data.check.dataset import Depth, check
-from rcs_data.check.folder import check_index, whole_entries
+from rcs_data.check.folder import check_index
 from rcs_data.check.report import counted
 from rcs_data.errors import CorruptEpisode
 from rcs_data.files.durable import disk_errors
@@ -103,9 +103,9 @@ def _mend_index(root: Path) -> list[Mending]:
         write_info(root, contents.info)
         mendings.append(_done("restored", f"{DATASET_FILE}, of which there are two"))
     if INDEX_FILE in files:
-        Index.create(root, contents.info, whole_entries(root))
-        count = len(whole_entries(root))
-        message = f"the index, with {counted(count, 'whole line')}; other episodes are taken from their folders"
+        Index.create(root, contents.info, contents.entries)
+        lines = counted(len(contents.entries), "whole line")
+        message = f"the index, with {lines}; other episodes are taken from their folders"
         mendings.append(_done("restored", message))
     for path, _ in list(damaged_history(root)):
         quarantine(root, path)
