@@ -146,7 +146,7 @@ def push(path: str | Path, repo: str, *, private: bool = False) -> str:
 def _files(source: LeRobotSource, columns: Iterable[str], episodes: Sequence[int]) -> list[Path]:
     """Return the files with the rows of some episodes, and the videos of some columns, relative to the folder."""
     names = [name for name in columns if source.is_video(name)]
-    videos = [source.video(name, index).path.relative_to(source.root) for name in names for index in episodes]
+    videos = [source.video(name, index)[0].relative_to(source.root) for name in names for index in episodes]
     return [*dict.fromkeys([*source.files(episodes), *videos])]
 
 

@@ -62,16 +62,6 @@ class _Row(TypedDict):
 
 
 @dataclass(frozen=True, kw_only=True)
-class VideoPlace:
-    """The place of an episode's frames."""
-
-    path: Path
-    """The video."""
-    start: float
-    """The time of the first frame [s]."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class SourceEpisode:
     """One episode as stored."""
 
@@ -135,13 +125,13 @@ class SourceEpisode:
         return self.table.column(name)
 
     def _filmed(self, name: str, readers: dict[str, VideoReader]) -> Iterator[NDArray[np.uint8]]:
-        place = self.source.video(name, self.index)
-        if name in readers and readers[name].path != place.path:
+        path, start = self.source.video(name, self.index)
+        if name in readers and readers[name].path != path:
             readers.pop(name).close()
         if name not in readers:
-            refuse_pointer(place.path)
-            readers[name] = VideoReader(place.path)
-        yield from readers[name].frames(place.start, len(self.table), self.source.fps)
+            refuse_pointer(path)
+            readers[name] = VideoReader(path)
+        yield from readers[name].frames(start, len(self.table), self.source.fps)
 
     def _stored(self, name: str) -> Iterator[bytes]:
         for item in self._column(name):
@@ -204,13 +194,13 @@ class LeRobotSource:
         """Return whether a column's images are in videos."""
         return self.features[name]["dtype"] == "video"
 
-    def video(self, name: str, index: int) -> VideoPlace:
-        """Return the place of an episode's video; CorruptEpisode if its description has none."""
+    def video(self, name: str, index: int) -> tuple[Path, float]:
+        """Return an episode's video and the time of its first frame [s]; CorruptEpisode if it has no such place."""
         start = self._about[index].get(f"videos/{name}/from_timestamp") if self.version == "v3.0" else 0.0
         if not isinstance(start, int | float) or not 0 <= start < math.inf:
             raise CorruptEpisode(f"The video {name!r} of episode {index} in {self.root} begins at {start!r} s.")
         where = {"video_key": name, **self._place(f"videos/{name}", index)}
-        return VideoPlace(path=self.root / filled(self.info.get("video_path"), where), start=float(start))
+        return self.root / filled(self.info.get("video_path"), where), float(start)
 
     def episodes(
         self, path: Path, numbers: Sequence[int], columns: Sequence[str] | None = None
