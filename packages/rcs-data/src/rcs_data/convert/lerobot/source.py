@@ -89,7 +89,7 @@ class SourceEpisode:
 
     def texts(self, name: str) -> list[str]:
         """Return the text of every row of a column: its own, or that which its number stands for."""
-        values = self.table.column(name).to_pylist()
+        values = self._column(name).to_pylist()
         if self.source.features[name]["dtype"] == TEXT:
             return [mended_text(str(value or "")) for value in values]
         known = self.source.subtasks if name == "subtask_index" else self.source.tasks
