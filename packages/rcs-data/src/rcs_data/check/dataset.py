@@ -91,7 +91,11 @@ def check(
         rows=rows,
         frames=frames,
         findings=tuple(findings),
-        notes=tuple(_unlimited(info)),
+        notes=tuple(
+            f"{feature.key!r} is not compared with limits: the dataset has none for it."
+            for feature in info.features
+            if is_joints(feature) and feature.limits is None
+        ),
     )
 
 
@@ -137,9 +141,3 @@ def _is_resampled(root: Path, info: DatasetInfo) -> bool:
     with suppress(CorruptEpisode):  # reported with the folder
         was_edited = any(edit.command == "resample" for edit in history(root))
     return was_edited or "imported" in info.setup or not {"mix", MERGED}.isdisjoint(info.origin)
-
-
-def _unlimited(info: DatasetInfo) -> Iterator[str]:
-    for feature in info.features:
-        if is_joints(feature) and feature.limits is None:
-            yield f"{feature.key!r} is not compared with limits: the dataset has none for it."

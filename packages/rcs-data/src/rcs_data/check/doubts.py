@@ -216,7 +216,8 @@ def check_motion(place: EpisodePlace, rows: EpisodeRows) -> Iterator[Finding]:
             beyond = np.nan_to_num(np.maximum(lower - joints, joints - upper))
             outside = np.flatnonzero(beyond.max(axis=1) > _BEYOND)
             if len(outside):
-                names = _joints(limits, beyond.max(axis=0) > _BEYOND)
+                far = (beyond.max(axis=0) > _BEYOND).tolist()
+                names = ", ".join(name for name, is_far in zip(limits.names, far, strict=True) if is_far)
                 message = f"{key!r}: {names} up to {beyond.max():.3f} rad beyond the limits of {limits.arm}"
                 yield place.warning("joint_limit", f"{message}, in {counted(len(outside), 'row')}", outside)
         jumps = _jumps(joints, rows.seconds_per_step(), limits)
@@ -248,7 +249,3 @@ def _jumps(joints: NDArray[np.float64], seconds: NDArray[np.float64], limits: Jo
 
 def _steps(joints: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.nan_to_num(np.abs(np.diff(joints, axis=0)))
-
-
-def _joints(limits: JointBounds, which: NDArray[np.bool_]) -> str:
-    return ", ".join(name for name, is_named in zip(limits.names, which, strict=True) if is_named)

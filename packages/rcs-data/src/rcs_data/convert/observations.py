@@ -107,14 +107,12 @@ def export_report(
     notes: Iterable[str] = (),
 ) -> ExportReport:
     """Return the result of an export: the file or folder, its episodes, number of images and what was left out."""
-    steps = sum(episode.length - 1 for episode in episodes)
-    size = size_on_disk(path)
     return ExportReport(
         path=path,
         episodes=len(episodes),
-        steps=steps,
+        steps=sum(episode.length - 1 for episode in episodes),
         frames=frames,
-        bytes_written=size,
+        bytes_written=size_on_disk(path),
         notes=(*no_step_notes(dataset, options), *notes),
     )
 
