@@ -14,7 +14,7 @@ import textwrap
 import threading
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, Field, dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from pathlib import Path
@@ -96,7 +96,8 @@ class Program:
         found = load(table[verb])
         if isinstance(found, dict):
             return self._parse(f"{typed} {verb}", cast(Table, found), rest)
-        if not rest and not any(_is_required(field) for field in fields(found)):
+        required = [field.default is MISSING and field.default_factory is MISSING for field in fields(found)]
+        if not rest and not any(required):
             return found()  # there is nothing to parse, and importing tyro takes as long as many commands
         return _parsed(found, prog=f"{typed} {verb}", args=rest)
 
@@ -143,10 +144,6 @@ def _ended_by_interrupts() -> Generator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _is_required(field: Field[Any]) -> bool:
-    return field.default is MISSING and field.default_factory is MISSING
 
 
 def _parsed(kind: Any, *, prog: str, args: list[str]) -> Any:

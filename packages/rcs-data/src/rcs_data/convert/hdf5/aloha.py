@@ -73,7 +73,6 @@ def import_aloha(source: str | Path, out: str | Path, options: ImportOptions | N
         raise InvalidSetup(f"{source} has no files of ALOHA, such as episode_0.hdf5.")
     chosen = selected_numbers(options.episodes, files)
     info, paths = _plan_of_first([files[i] for i in chosen], options)
-    info = kept_info(info, options)
     return import_episodes(out, info, ((i, partial(_record, files[i], i, info, paths)) for i in chosen), options)
 
 
@@ -128,7 +127,7 @@ def _plan(file: Any, options: ImportOptions) -> tuple[DatasetInfo, dict[str, str
         instruction=options.instruction or "",
         jpeg_quality=options.jpeg_quality,
     )
-    return info, {feature.key: path for path, feature in found.items()}
+    return kept_info(info, options), {feature.key: path for path, feature in found.items()}
 
 
 def _camera(camera: str, values: Any, options: ImportOptions) -> Feature | None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -67,7 +67,6 @@ def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions
     with hdf5.reading_hdf5(Path(source)) as file:
         names = _demo_names(file)
         plan = _plan(file, [*names.values()], options)
-        plan = replace(plan, info=kept_info(plan.info, options))
         chosen = selected_numbers(options.episodes, names)
         episodes = ((i, partial(_record, file, names[i], i, plan)) for i in chosen)
         steps = 0 if options.allow_missing else sum(_steps(file["data"][names[i]]) for i in chosen)
@@ -123,7 +122,8 @@ def _plan(file: Any, names: list[str], options: ImportOptions) -> _Plan:
         instruction=mended_text(str(words)),
         jpeg_quality=options.jpeg_quality,
     )
-    return _Plan(info=info, paths={f.key: path for path, f in features.items()}, masks=_masks(file, names))
+    paths = {feature.key: path for path, feature in features.items()}
+    return _Plan(info=kept_info(info, options), paths=paths, masks=_masks(file, names))
 
 
 def _feature(path: str, values: Any, options: ImportOptions) -> Feature:
