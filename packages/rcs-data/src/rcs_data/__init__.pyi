@@ -5,9 +5,9 @@ from rcs_data.check.report import CheckReport as CheckReport
 from rcs_data.check.report import Finding as Finding
 from rcs_data.files.feature import Encoding as Encoding
 from rcs_data.files.feature import Feature as Feature
+from rcs_data.files.feature import JointBounds as JointBounds
 from rcs_data.files.info import SCHEMA_VERSION as SCHEMA_VERSION
 from rcs_data.files.info import DatasetInfo as DatasetInfo
-from rcs_data.files.joint_bounds import JointBounds as JointBounds
 from rcs_data.read.frame_access import FrameAccess as FrameAccess
 from rcs_data.read.reader import Dataset as Dataset
 from rcs_data.read.reader import EpisodeRecord as EpisodeRecord

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
 from rcs_data.check.report import Finding, counted, listed
-from rcs_data.files.feature import SIMULATED_TIME
+from rcs_data.files.feature import SIMULATED_TIME, JointBounds
 from rcs_data.files.flags import FrameFlag, flags_key, time_key
-from rcs_data.files.joint_bounds import JointBounds
 from rcs_data.files.layout import EPISODE_FILE, EPISODES_FOLDER
 
 # Fewer episodes than this may all fail by chance.

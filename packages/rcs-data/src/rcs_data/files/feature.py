@@ -1,4 +1,4 @@
-"""A feature: one column of a dataset, with its shape, dtype, unit and encoding."""
+"""A feature: one column of a dataset, with its shape, dtype, unit, encoding, and ranges of joints."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 import pyarrow as pa
 
 from rcs_data.errors import InvalidSetup
-from rcs_data.files.joint_bounds import JointBounds
 from rcs_data.files.text import check_text
 from rcs_data.options import Record, Whole
 
@@ -38,6 +37,37 @@ _IMAGES = (*_COLOURS, "depth", "labels")
 # Limit per row: an image of 6 000 x 7 000 pixels.
 _MOST_BYTES = 1 << 27
 _LONGEST_KEY = 200
+
+
+class JointBounds(Record):
+    """Ranges and speeds of an arm's joints, with which its recorded positions are checked.
+
+    Raises:
+        InvalidSetup: The numbers are not finite, or not one per joint.
+    """
+
+    arm: str
+    """The arm in words, such as "Franka Research 3"."""
+    names: tuple[str, ...]
+    """The joints, in the order of the column."""
+    lower: tuple[float, ...]
+    """Lower ends of their ranges [rad]."""
+    upper: tuple[float, ...]
+    """Upper ends of their ranges [rad]."""
+    velocity: tuple[float, ...]
+    """Largest speeds [rad/s]."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        super().__post_init__()
+        for text in (self.arm, *self.names):
+            check_text(text, "A name in joint limits")
+        for field in ("lower", "upper", "velocity"):
+            if len(getattr(self, field)) != len(self.names):
+                raise InvalidSetup(
+                    f"Joint limits have {field} {getattr(self, field)}; it must be {len(self.names)} finite numbers, "
+                    "one per joint."
+                )
 
 
 class Feature(Record):
