@@ -89,7 +89,9 @@ def test_few_files_of_all_readers_stay_open(tmp_path: Path, monkeypatch: pytest.
     found = make(tmp_path / "dataset", 5)
     opened: Any = lru_cache(1)(frame_access._opened.__wrapped__)
     monkeypatch.setattr(frame_access, "_opened", opened)
-    access, other = FrameAccess(cache_bytes=0), FrameAccess()
+    other = FrameAccess()
+    monkeypatch.setattr(frame_access, "_INDEX_BYTES", 0)
+    access = FrameAccess()
     for row in (0, 4):
         for episode in found.episodes:
             for reader in (access, other):

@@ -17,7 +17,8 @@ from rcs_data.files.frames_file import FramesFile
 from rcs_data.files.layout import FRAMES_FILE
 from rcs_data.read.episode_record import EpisodeRecord, decoded
 
-# Memory for the numbers of images by default [B], 4 per row and camera: 64 million images.
+# Memory for the numbers of images [B], 4 per row and camera: 64 million images. Beyond it, those of the least recently
+# used episode are read again when needed.
 _INDEX_BYTES = 1 << 28
 # All readers of a process together; it may open 1024 files by default.
 _MOST_OPEN = 256
@@ -76,25 +77,16 @@ class FrameAccess:
     All of a process together keep at most 256 files open.
     """
 
-    def __init__(self, cache_bytes: int = _INDEX_BYTES) -> None:
-        """Start with nothing read.
-
-        Args:
-            cache_bytes: Memory for the numbers of images; beyond it, those of the least recently used episode are read
-                again when needed.
-
-        Raises:
-            InvalidSetup: It is negative.
-        """
-        self._cache_bytes = cache_bytes
-        self._numbers: ByteCache[dict[str, NDArray[np.int32]]] = ByteCache(cache_bytes)
+    def __init__(self) -> None:
+        """Start with nothing read."""
+        self._numbers: ByteCache[dict[str, NDArray[np.int32]]] = ByteCache(_INDEX_BYTES)
         self._reader = object()
         self._decoded: dict[tuple[Any, ...], NDArray[Any]] = {}
         finalize(self, _opened.cache_clear).atexit = False  # closes its files, and those of others, which reopen theirs
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy nothing but the limit."""
-        return FrameAccess, (self._cache_bytes,)
+        """Copy nothing."""
+        return FrameAccess, ()
 
     def frame(self, episode: EpisodeRecord, key: str, row: int) -> NDArray[Any]:
         """Return one image: (H, W, 3) uint8, or (H, W) uint16 millimetres for depth.

@@ -7,16 +7,14 @@ import hashlib
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, SupportsIndex, overload
+from typing import Any, SupportsIndex, overload
 
 from rcs_data.errors import InvalidSetup
 from rcs_data.files.layout import EPISODES_FOLDER
 from rcs_data.index.history import Edit, history
 from rcs_data.index.index import Index
 from rcs_data.read.episode_record import EpisodeRecord as EpisodeRecord
-
-if TYPE_CHECKING:
-    from rcs_data.read.windows import Windows
+from rcs_data.read.windows import Windows
 
 
 class Dataset:
@@ -73,8 +71,6 @@ class Dataset:
         Raises:
             InvalidSetup: An argument does not make sense, or there is no window.
         """
-        from rcs_data.read.windows import Windows  # it reads datasets itself
-
         return Windows(self, history=history, horizon=actions, **options)
 
     def digest(self) -> str:

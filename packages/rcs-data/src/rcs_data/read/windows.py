@@ -25,11 +25,11 @@ from rcs_data.read.episode_record import EpisodeRecord
 from rcs_data.read.frame_access import ByteCache, FrameAccess
 from rcs_data.read.scale import Scaler, whole_size
 from rcs_data.read.statistics import RunningStatistics, Statistics
+from rcs_data.read.torch import ChosenWindow, TorchDataset
 from rcs_data.read.trajectory import action_layout, camera_features, state_layout
 
 if TYPE_CHECKING:
     from rcs_data.read.reader import Dataset
-    from rcs_data.read.torch import ChosenWindow
 
 Padding = Literal["repeat", "drop"]
 
@@ -121,7 +121,7 @@ class Windows(Sequence[Window]):
         stride = require_whole("stride", stride, 1)
         if pad not in get_args(Padding):
             raise InvalidSetup(f"pad is {pad!r}; valid are {', '.join(get_args(Padding))}.")
-        self.history, self.horizon, self.stride, self.pad = history, horizon, stride, pad
+        self.history, self.horizon, self.stride = history, horizon, stride
         self.info = dataset.info
         self.state_layout = state_layout(dataset.info, state)
         self.action_layout = action_layout(dataset.info, action)
@@ -148,15 +148,6 @@ class Windows(Sequence[Window]):
     def __len__(self) -> int:
         return self._ends[-1] if self._ends else 0
 
-    def place(self, index: SupportsIndex) -> tuple[EpisodeRecord, int]:
-        """Return the episode and the step of a window.
-
-        Raises:
-            IndexError: There is no such window.
-        """
-        number, step = self._place(index)
-        return self.episodes[number], step
-
     @overload
     def __getitem__(self, index: int) -> Window: ...
     @overload
@@ -181,8 +172,6 @@ class Windows(Sequence[Window]):
         Raises:
             MissingDependency: torch is not installed.
         """
-        from rcs_data.read.torch import TorchDataset  # which reads windows itself
-
         return TorchDataset(self).__getitems__(indices)
 
     def image_shape(self, camera: str) -> tuple[int, ...]:
@@ -206,17 +195,16 @@ class Windows(Sequence[Window]):
         """
         places = [self._place(index) for index in indices]
         steps = np.array([step for _, step in places], np.int64)
-        lasts = np.array([self.episodes[number].length - 2 for number, _ in places], np.int64)
+        lasts = np.array([episode.length - 2 for episode, _ in places], np.int64)
         seen = steps[:, None] + np.arange(1 - self.history, 1)
         done = steps[:, None] + np.arange(self.horizon)
         rows, actions = np.maximum(seen, 0), np.minimum(done, lasts[:, None])
-        vectors = [self._episode_vectors(number) for number, _ in places]
+        vectors = [self._episode_vectors(episode) for episode, _ in places]
         if images is None:
             images = self.new_images(len(places))
         for camera, out in images.items():
-            for n, (number, _) in enumerate(places):
-                self._read_images(self.episodes[number], camera, rows[n].tolist(), out[n])
-        episodes = [self.episodes[number] for number, _ in places]
+            for n, (episode, _) in enumerate(places):
+                self._read_images(episode, camera, rows[n].tolist(), out[n])
         return {
             "state": _joined(
                 [states[r] for (states, _), r in zip(vectors, rows, strict=True)], rows, self.state_layout.size
@@ -227,8 +215,8 @@ class Windows(Sequence[Window]):
             ),
             "is_pad": done > lasts[:, None],
             "is_history_pad": seen < 0,
-            "instruction": [episode.instruction for episode in episodes],
-            "episode": [episode.id for episode in episodes],
+            "instruction": [episode.instruction for episode, _ in places],
+            "episode": [episode.id for episode, _ in places],
             "step": steps,
         }
 
@@ -253,35 +241,35 @@ class Windows(Sequence[Window]):
             "state": RunningStatistics(self.state_layout.size),
             "actions": RunningStatistics(self.action_layout.size),
         }
-        for number, episode in enumerate(self.episodes):
-            for statistics, values in zip(running.values(), self._episode_vectors(number), strict=True):
+        for done, episode in enumerate(self.episodes, 1):
+            for statistics, values in zip(running.values(), self._episode_vectors(episode), strict=True):
                 try:
                     statistics.add(values)
                 except InvalidSetup as err:
                     raise InvalidSetup(f"Episode {episode.id!r}: {err}") from err
             if on_progress is not None:
-                on_progress(number + 1, len(self.episodes))
+                on_progress(done, len(self.episodes))
         return {name: statistics.result() for name, statistics in running.items()}
 
-    def _place(self, index: SupportsIndex) -> tuple[int, int]:
+    def _place(self, index: SupportsIndex) -> tuple[EpisodeRecord, int]:
+        """Return the episode and the step of a window."""
         number = operator.index(index)
         wanted = number + len(self) if number < 0 else number
         if not 0 <= wanted < len(self):
             raise IndexError(f"There is no window {number}; there are {len(self)}.")
-        episode = bisect_right(self._ends, wanted)
-        before = self._ends[episode - 1] if episode else 0
-        return episode, self._first + (wanted - before) * self.stride
+        place = bisect_right(self._ends, wanted)
+        before = self._ends[place - 1] if place else 0
+        return self.episodes[place], self._first + (wanted - before) * self.stride
 
-    def _episode_vectors(self, number: int) -> _Vectors:
+    def _episode_vectors(self, episode: EpisodeRecord) -> _Vectors:
         def read() -> tuple[_Vectors, int]:
-            episode = self.episodes[number]
             # Opening a file takes as long as reading a thousand rows of it, so it is opened once.
             columns = episode.columns(f.key for f in (*self.state_layout.features, *self.action_layout.features))
             states = self.state_layout.joined(columns, episode.length)[:-1]
             actions = self.action_layout.joined(columns, episode.length)[1:]
             return (states, actions), states.nbytes + actions.nbytes
 
-        return self._vectors.get(number, read)
+        return self._vectors.get(episode, read)
 
     def _read_images(self, episode: EpisodeRecord, camera: str, rows: list[int], out: NDArray[Any]) -> None:
         feature, scaler = self.cameras[camera], self._scalers.get(camera)
