@@ -50,7 +50,7 @@ class Reader(HTMLParser):
         film(EVIL),
         header(EVIL, EVIL, {EVIL: EVIL}),
         page(EVIL, EVIL, assets=Html("")),
-        chart(EVIL, [Series(name=EVIL, x=[0, 1], y=[1, 2], told=[EVIL, EVIL])] * 2, most=1, word=EVIL),
+        chart(EVIL, [Series(name=EVIL, x=[0, 1], y=[1, 2], told=[EVIL, EVIL])] * 2, most=1),
         f"<script>{json_text({EVIL: EVIL})}</script>",
     ],
 )

@@ -14,6 +14,7 @@ from rcs_data.files.durable import unsealed
 from rcs_data.files.info import refuse_other_schema
 from rcs_data.files.json_file import check_fields, read_bytes
 from rcs_data.files.layout import EPISODE_FILE, FRAMES_FILE, STEPS_FILE, is_name
+from rcs_data.options import Natural
 
 MOST_ROWS = 1 << 32
 """Rows of an episode; 30 Hz for four years."""
@@ -23,7 +24,6 @@ MOST_SEED = 1 << 128
 Length = Annotated[int, Meta(ge=1, le=MOST_ROWS)]
 Hash = Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
 """A SHA-256 in hexadecimal."""
-Count = Annotated[int, Meta(ge=0)]
 
 
 class Source(TypedDict):
@@ -58,7 +58,7 @@ class Timing(TypedDict):
     """The timing report."""
 
     period: NotRequired[Period | None]
-    cameras: NotRequired[dict[str, dict[str, Count | None]] | None]
+    cameras: NotRequired[dict[str, dict[str, Natural | None]] | None]
     devices: NotRequired[dict[str, Any] | None]
     writer: NotRequired[dict[str, float] | None]
 

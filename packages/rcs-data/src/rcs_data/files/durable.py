@@ -63,6 +63,27 @@ def write_all(fd: int, data: bytes | memoryview) -> None:
         view = view[os.write(fd, view) :]
 
 
+def append(fd: int, end: int, data: bytes) -> None:
+    """Write behind the last whole line of an open file and sync it; after a failure, nothing of it is there.
+
+    Args:
+        fd: The open file.
+        end: Where the last whole line ends; a killed writer may have left half of another one.
+        data: The bytes.
+
+    Raises:
+        OSError: The disk is full or fails.
+    """
+    os.ftruncate(fd, end)
+    os.lseek(fd, end, os.SEEK_SET)
+    try:
+        write_all(fd, data)
+        sync(fd)
+    except BaseException:
+        os.ftruncate(fd, end)
+        raise
+
+
 def sync(fd: int) -> None:
     """Bring an open file or folder to the disk, unless everything is to be at once.
 

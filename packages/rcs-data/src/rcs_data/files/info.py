@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -14,6 +14,7 @@ from typing_extensions import Self
 
 from rcs_data.errors import DatasetError, InvalidSetup, UnknownName
 from rcs_data.files.feature import EPISODE, STEP, Feature
+from rcs_data.files.json_file import leaves
 from rcs_data.files.layout import check_name
 from rcs_data.files.text import check_text, check_texts
 from rcs_data.options import Meta, Record
@@ -173,7 +174,7 @@ def differences(
         names: Names to call the two by.
     """
     one, other = names
-    left, right = (dict(_leaves("", _comparable(info))) for info in (stored, given))
+    left, right = (leaves(_comparable(info)) for info in (stored, given))
     lines: list[str] = []
     for name in sorted(left.keys() | right.keys(), key=_importance):
         if name not in right:
@@ -241,11 +242,3 @@ def _form(feature: Mapping[str, Any]) -> str:
     unit = f" [{feature['unit']}]" if feature["unit"] else ""
     words = f" {tuple(feature['words'])}" if feature.get("words") else ""
     return f"{tuple(feature['shape'])} {feature['dtype']}{unit} {feature['encoding']}{words}"
-
-
-def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, dict) and value:
-        for key, inner in value.items():
-            yield from _leaves(f"{name}.{key}" if name else str(key), inner)
-    else:
-        yield name, value

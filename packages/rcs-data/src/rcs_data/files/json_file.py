@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,17 @@ def parsed_json(data: bytes | str, path: Path | str) -> dict[str, Any]:
         return _DECODER.decode(data)
     except (msgspec.MsgspecError, ValueError, RecursionError) as err:
         raise CorruptEpisode(f"{path} is damaged: {err}.") from err
+
+
+def leaves(values: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Return the values of nested mappings by their paths, with `.` between names."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping) and value:
+            found |= leaves(value, f"{above}{name}.")
+        else:
+            found[f"{above}{name}"] = value
+    return found
 
 
 def check_fields(values: Any, kind: Any) -> None:

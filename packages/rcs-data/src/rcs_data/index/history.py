@@ -92,11 +92,6 @@ def edits_in_force(root: Path) -> list[Edit]:
     return left
 
 
-def undoable(root: Path) -> Edit | None:
-    """Return the edit that undo would undo, if there is one."""
-    return next(reversed(edits_in_force(root)), None)
-
-
 def relabelled(about: Mapping[str, Any], folder: str, edits: Iterable[Edit]) -> dict[str, Any]:
     """Return the contents of an `episode.json` with the instruction that edits gave the episode later.
 
@@ -235,9 +230,10 @@ def undo(index: Index) -> Edit:
         CorruptEpisode: The former index is damaged.
         OSError: The disk is full or fails.
     """
-    root, edit = index.root, undoable(index.root)
-    if edit is None:
+    root, edits = index.root, edits_in_force(index.root)
+    if not edits:
         raise DatasetError(f"There is nothing to undo in {root}.")
+    edit = edits[-1]
     path = root / HISTORY_FOLDER / f"{edit.number}.jsonl"
     entries = {entry.id: entry for entry in _entries_in(path)}
     if len(entries) < edit.before:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
-from rcs_data.files.durable import disk_errors, sealed, sync, sync_folder, unsealed, write_all, write_file
+from rcs_data.files.durable import append, disk_errors, sealed, sync_folder, unsealed, write_file
 from rcs_data.files.info import DatasetInfo
 from rcs_data.files.json_file import read_bytes
 from rcs_data.files.layout import (
@@ -91,14 +91,7 @@ class Index:
         with self._turn() as fd:
             if about["id"] in self.refresh():
                 raise DatasetError(f"There already is an episode {about['id']!r} in {self.root}; choose another id.")
-            os.ftruncate(fd, self._end)  # a killed writer may have left half a line
-            os.lseek(fd, self._end, os.SEEK_SET)
-            try:
-                write_all(fd, Entry.of(about, folder, self.info).line)
-                sync(fd)
-            except BaseException:
-                os.ftruncate(fd, self._end)
-                raise
+            append(fd, self._end, Entry.of(about, folder, self.info).line)
             self.refresh()
         grow_reserve(self.root)
 

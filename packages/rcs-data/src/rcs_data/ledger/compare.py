@@ -116,11 +116,6 @@ def verdicts_of(rows: Sequence[Row]) -> Verdicts:
     return Verdicts.of(row.success for row in rows)
 
 
-def pairs_of(a: Sequence[Row], b: Sequence[Row]) -> Pairs:
-    """Count the verdicts of two agents on the seeds of their rows."""
-    return Pairs.of({row.seed: row.success for row in a}, {row.seed: row.success for row in b})
-
-
 def _place_of(condition: Condition) -> tuple[str, str, bool]:
     """Return what agents have in common that are compared unasked."""
     return condition.task, condition.robot, condition.is_real
@@ -129,7 +124,7 @@ def _place_of(condition: Condition) -> tuple[str, str, bool]:
 def _compared(
     a: str, b: str, rows_a: Sequence[Row], rows_b: Sequence[Row], one: Condition, other: Condition
 ) -> Comparison:
-    pairs = pairs_of(rows_a, rows_b)
+    pairs = Pairs.of(*({row.seed: row.success for row in rows} for rows in (rows_a, rows_b)))
     # A module or package that one agent alone has is its own.
     found = {
         name: (ours, theirs)

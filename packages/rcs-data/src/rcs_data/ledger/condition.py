@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import field
 from typing import Any
 
+from rcs_data.files.json_file import leaves
 from rcs_data.options import Natural, Record
 
 _DIGITS = 16
@@ -77,14 +78,3 @@ def key_of(condition: str, seed: int) -> str:
 def named(key: str, repeat: int) -> str:
     """Return the name of an episode: its key, and the number of the repetition if it is one."""
     return f"{key}.{repeat}" if repeat else key
-
-
-def leaves(values: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """Return the values of nested mappings by their paths, with `.` between names."""
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping) and value:
-            found |= leaves(value, f"{above}{name}.")
-        else:
-            found[f"{above}{name}"] = value
-    return found

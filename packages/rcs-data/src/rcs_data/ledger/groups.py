@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from rcs_data.errors import InvalidSetup, UnknownName
+from rcs_data.files.json_file import leaves
 from rcs_data.ledger.compare import verdicts_of
 from rcs_data.ledger.comparison import mean_maximum_rank_violation, pearson
-from rcs_data.ledger.condition import BLIND, Condition, leaves
+from rcs_data.ledger.condition import BLIND, Condition
 from rcs_data.ledger.ledger import Ledger
 from rcs_data.read.verdicts import Verdicts
 

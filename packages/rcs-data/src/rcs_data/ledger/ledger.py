@@ -27,7 +27,7 @@ from typing import Any
 
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
 from rcs_data.files.closing import Closing
-from rcs_data.files.durable import disk_errors, sealed, sync, sync_folder, unsealed, write_all, write_file
+from rcs_data.files.durable import append, disk_errors, sealed, sync_folder, unsealed, write_file
 from rcs_data.files.json_file import parsed_json, read_bytes
 from rcs_data.files.layout import check_path
 from rcs_data.ledger.condition import Condition, named
@@ -121,14 +121,7 @@ class Ledger(Closing):
             self._take(fd)
             if self._is_known(row):
                 return False
-            os.ftruncate(fd, self._end)  # a killed writer may have left half a line
-            os.lseek(fd, self._end, os.SEEK_SET)
-            try:
-                write_all(fd, line)
-                sync(fd)
-            except BaseException:
-                os.ftruncate(fd, self._end)
-                raise
+            append(fd, self._end, line)
             self._take(fd)
         return True
 

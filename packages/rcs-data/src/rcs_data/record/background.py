@@ -67,11 +67,6 @@ class Encoders(Closing):
         for thread in self._threads:
             thread.start()
 
-    @property
-    def threads(self) -> int:
-        """Number of threads."""
-        return len(self._threads)
-
     def submit(self, work: Callable[[], object]) -> None:
         """Run a function that raises nothing on a thread.
 

@@ -6,7 +6,7 @@ import hashlib
 import logging
 import os
 from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -193,12 +193,9 @@ class DatasetWriter(Closing):
                 remove_folder(folder, new_trash(self.path, episode_id))
             folder.mkdir(parents=True)
             for name in hashes:
-                file = HashedFile(folder / name)
-                try:
+                with closing(HashedFile(folder / name)) as file:
                     file.write(files[name])
                     file.complete()
-                finally:
-                    file.close()
             write_file(folder / EPISODE_FILE, description)
             sync_folder(folder)
         publish(self._index, episode_id)

@@ -43,7 +43,6 @@ def chart(
     most: int,
     span: tuple[float, float] | None = None,
     width: int = 460,
-    word: str = "step",
 ) -> Html:
     """Return a chart as a `figure`.
 
@@ -53,7 +52,6 @@ def chart(
         most: Steps at the right end, at least 1.
         span: Lower and upper end of the vertical axis; None for those of the figures.
         width: Width of the drawing, in its own units; its height is 190.
-        word: Word for what is counted from left to right.
     """
     low, high = span if span is not None else _span(series)
     inner, tall = width - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
@@ -89,7 +87,7 @@ def chart(
             parts.append(element("polyline", class_="line", style=f"stroke:{paint}", points=line))
     parts.append(element("line", class_="here", x1=0, x2=0, y1=_TOP, y2=_HEIGHT - _BOTTOM, hidden=True))
     about = {
-        "left": _LEFT, "width": inner, "size": width, "most": most, "word": word,
+        "left": _LEFT, "width": inner, "size": width, "most": most,
         "series": [
             {"name": one.name, "x": list(one.x), "told": list(one.told) or [short(y) for y in one.y]} for one in series
         ],

@@ -96,9 +96,9 @@ def page(title: str, *body: object, assets: Html | None = None) -> Html:
     return Html(f'<!doctype html>\n<html lang="en">\n{head}\n{element("body", *body)}\n</html>\n')
 
 
-def style(more: str = "") -> Html:
-    """Return the style that all pages share, and more of one's own, as a `style` element."""
-    return Html(f"<style>\n{web('viewer.css')}{more}</style>")
+def style() -> Html:
+    """Return the style that all pages share, as a `style` element."""
+    return Html(f"<style>\n{web('viewer.css')}</style>")
 
 
 def script(code: str) -> Html:

@@ -15,10 +15,8 @@ function nearest(values, wanted) {
   return best;
 }
 
-// Charts that count the same from left to right tell together.
-function show(steps, word) {
+function show(steps) {
   for (const { here, readout, about } of charts) {
-    if (about.word !== word) continue;
     const told = about.series.map(({ name, x, told }) => {
       const i = nearest(x, steps);
       return { at: x[i], text: (about.series.length > 1 ? name + " " : "") + told[i] };
@@ -27,7 +25,7 @@ function show(steps, word) {
     here.setAttribute("x1", place);
     here.setAttribute("x2", place);
     here.removeAttribute("hidden");
-    readout.textContent = `${about.word} ${told[0].at.toLocaleString("en")}: ` + told.map(({ text }) => text).join(", ");
+    readout.textContent = `step ${told[0].at.toLocaleString("en")}: ` + told.map(({ text }) => text).join(", ");
   }
 }
 
@@ -35,6 +33,6 @@ for (const { svg, about } of charts) {
   svg.addEventListener("pointermove", (event) => {
     const box = svg.getBoundingClientRect();
     const x = ((event.clientX - box.left) / box.width) * about.size;
-    show(Math.max(0, Math.min(1, (x - about.left) / about.width)) * about.most, about.word);
+    show(Math.max(0, Math.min(1, (x - about.left) / about.width)) * about.most);
   });
 }
