@@ -49,7 +49,6 @@ from rcs_data.record.timing import TimingMeter
 def compact(
     index: Index,
     episode_id: str,
-    info: DatasetInfo,
     *,
     success: bool | None,
     outcome: Mapping[str, Any],
@@ -63,7 +62,6 @@ def compact(
     Args:
         index: The dataset's index.
         episode_id: The episode.
-        info: The facts that the dataset's episodes share.
         success: Whether the task was done; None if that is not known.
         outcome: Further facts to keep about how it went, as JSON values.
         ended: Wall clock at the end, ISO 8601 in UTC; None if it was not measured.
@@ -76,7 +74,7 @@ def compact(
             recorded; the stream stays.
         CorruptEpisode: The stream's columns differ from the dataset's, or it is damaged; it stays.
     """
-    folder = index.root / OPEN_FOLDER / episode_id
+    info, folder = index.info, index.root / OPEN_FOLDER / episode_id
     with disk_errors(f"finish episode {episode_id!r}", folder, keeps_rows=True):
         stream = StreamReader(folder / ROWS_FILE)
         header = stream.header

@@ -16,7 +16,6 @@ from typing_extensions import Self
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.files.about import MOST_SEED
 from rcs_data.files.durable import as_json, disk_errors, remove_folder, remove_tree, sealed, write_file
-from rcs_data.files.info import DatasetInfo
 from rcs_data.files.layout import ABORTED_FILE, OPEN_FOLDER, ROWS_FILE, check_episode_id, new_trash
 from rcs_data.files.stream import EpisodeHeader, StreamWriter
 from rcs_data.files.text import check_text, mended_text
@@ -41,12 +40,11 @@ class EpisodeWriter:
     of them or a resumed recording discards them.
     """
 
-    def __init__(self, index: Index, info: DatasetInfo, episode_id: str, seed: int | None, instruction: str) -> None:
+    def __init__(self, index: Index, episode_id: str, seed: int | None, instruction: str) -> None:
         """Make the open episode's folder.
 
         Args:
             index: The dataset's index.
-            info: The facts that the dataset's episodes share.
             episode_id: The name of the episode.
             seed: The seed of the reset.
             instruction: The instruction to the robot.
@@ -65,16 +63,15 @@ class EpisodeWriter:
         self.end: Callable[[str], object] = self.abort
         """Ends the episode when its dataset is closed, given a reason; a thread that adds rows sets its own."""
         self._index = index
-        self._info = info
         self._folder = index.root / OPEN_FOLDER / episode_id
         self._rows = 0
-        self._buffer = RowBuffer(info)
+        self._buffer = RowBuffer(index.info)
         header = EpisodeHeader(
             id=episode_id,
             seed=None if seed is None else int(seed),
             instruction=instruction,
             started=_now(),
-            versions={**info.versions, **library_versions()},
+            versions={**index.info.versions, **library_versions()},
         )
         with disk_errors(f"start episode {episode_id!r}", self._folder):
             try:
@@ -90,7 +87,7 @@ class EpisodeWriter:
                 self._folder.rmdir()
                 raise DatasetError(f"There already is an episode {episode_id!r} in {index.root}; choose another id.")
             try:
-                self._stream = StreamWriter(self._folder / ROWS_FILE, info.stream_schema, header)
+                self._stream = StreamWriter(self._folder / ROWS_FILE, index.info.stream_schema, header)
             except BaseException:  # a full disk
                 remove_tree(self._folder)
                 raise
@@ -170,7 +167,6 @@ class EpisodeWriter:
             folder = compact(
                 self._index,
                 self.id,
-                self._info,
                 success=verdict,
                 outcome=kept,
                 ended=_now(),
@@ -186,7 +182,7 @@ class EpisodeWriter:
             raise
         assert folder is not None, "an episode with rows has a folder"
         self.state = "finished"
-        return EpisodeRecord(folder, self._info)
+        return EpisodeRecord(folder, self._index.info)
 
     def discard(self) -> None:
         """Remove the episode with all its rows; harmless after a refused `finish`, an abort or another discard.

@@ -9,7 +9,6 @@ from typing import Any, Literal
 from rcs_data.errors import CorruptEpisode
 from rcs_data.files.about import read_about
 from rcs_data.files.durable import disk_errors, remove_folder, remove_tree, unsealed
-from rcs_data.files.info import DatasetInfo
 from rcs_data.files.json_file import read_bytes
 from rcs_data.files.layout import (
     ABORTED_FILE,
@@ -104,7 +103,7 @@ def settle_leftovers(index: Index, leftovers: Leftovers) -> RecoverReport:
             done["published"].append(about["id"])
     for episode_id in folder_names(root, OPEN_FOLDER):
         try:
-            done[_settle(index, index.info, episode_id, leftovers)].append(episode_id)
+            done[_settle(index, episode_id, leftovers)].append(episode_id)
         except CorruptEpisode as err:
             failed.append((episode_id, str(err)))
     cut = tuple(name for name in done["recovered"] if _is_torn(index, name))
@@ -135,7 +134,7 @@ def _is_torn(index: Index, episode_id: str) -> bool:
     return bool(about["timing"].get("is_torn"))
 
 
-def _settle(index: Index, info: DatasetInfo, episode_id: str, leftovers: Leftovers) -> str:
+def _settle(index: Index, episode_id: str, leftovers: Leftovers) -> str:
     folder = index.root / OPEN_FOLDER / episode_id
     if folder.is_symlink() or not folder.is_dir():
         raise CorruptEpisode(f"{folder} is not a folder but {'a link' if folder.is_symlink() else 'a file'}")
@@ -154,7 +153,7 @@ def _settle(index: Index, info: DatasetInfo, episode_id: str, leftovers: Leftove
     if leftovers == "recover" and has_rows:
         outcome: dict[str, Any] = {"recovered": True, **_aborted(folder)}
         # The end was not measured; the rows have the time of the last one.
-        if compact(index, episode_id, info, success=None, outcome=outcome, ended=None) is not None:
+        if compact(index, episode_id, success=None, outcome=outcome, ended=None) is not None:
             return "recovered"
     with disk_errors(f"remove episode {episode_id!r}", folder):
         remove_folder(folder, new_trash(index.root, episode_id))

@@ -143,7 +143,7 @@ class DatasetWriter(Closing):
         """
         self._require_open(f"start episode {episode_id!r}")
         words = self.info.instruction if instruction is None else instruction
-        writer = EpisodeWriter(self._index, self.info, episode_id, seed, words)
+        writer = EpisodeWriter(self._index, episode_id, seed, words)
         self._open = [other for other in self._open if other.state == "open"]
         self._open.append(writer)
         return writer
