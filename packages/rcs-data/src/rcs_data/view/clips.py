@@ -8,11 +8,14 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import av
 import numpy as np
 import simplejpeg
+from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from rcs_data.errors import CorruptEpisode
+from rcs_data.files.codec import ONE_THREAD
 from rcs_data.files.feature import Feature
 from rcs_data.files.info import DatasetInfo
 from rcs_data.options import Meta, Record, Whole
@@ -76,11 +79,6 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
         CorruptEpisode: The images do not read.
         DatasetError: The file cannot be written.
     """
-    import av  # half a tenth of a second to import, for those who look only
-    from av.video.reformatter import VideoReformatter
-
-    from rcs_data.files.codec import ONE_THREAD
-
     is_colour = feature.shape[-1:] == (3,) and len(feature.shape) == 3
     limits = None if is_colour or feature.encoding == "labels" else _limits(episode, feature)
     encoder, fixed = _ENCODERS[options.codec]
