@@ -17,7 +17,7 @@ from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeWriter, Feature
 from rcs_data.errors import DatasetError, InvalidSetup, WrongOrder
 from rcs_data.files.codec import encode_frame
 from rcs_data.files.flags import FrameFlag
-from rcs_data.record.background import MOST_THREADS, BackgroundEpisode, Encoders
+from rcs_data.record.background import MOST_THREADS, BackgroundEpisode
 
 RGB, FLAGS, JOINTS = "observation/frames/wrist/rgb", "flags/frames/wrist", "observation/joints"
 SHAPE = (48, 64, 3)
@@ -75,8 +75,10 @@ def test_threads_write_what_would_be_written_without_any(
         return encode_frame(*given)
 
     monkeypatch.setattr("rcs_data.record.background.encode_frame", encode_in_disorder)
-    with DatasetWriter.open(tmp_path, INFO) as writer, Encoders(threads) as encoders:
-        here, there = writer.episode("a", seed=0), start(writer, "b", encoders=encoders)
+    monkeypatch.setattr("rcs_data.record.background._usable_cpus", lambda: threads)
+    with DatasetWriter.open(tmp_path, INFO) as writer:
+        here, there = writer.episode("a", seed=0), start(writer, "b")
+        assert len(encoding_threads()) == threads
         for i, row in enumerate(rows(50)):
             taken = {**row, RGB: None} if i % 3 == 1 else row
             here.add(taken)
@@ -130,12 +132,12 @@ def test_rows_that_repeat_an_image_that_was_left_out_are_flagged_until_the_next_
     given[2] |= {RGB: None}  # the camera gave nothing
     for i in (3, 5):
         given[i] |= {RGB: None, FLAGS: int(FrameFlag.REPEATED)}
-    with DatasetWriter.open(tmp_path, INFO) as writer, Encoders(1) as encoders:
-        episode = start(writer, encoders=encoders, bound_bytes=IMAGE_BYTES)
+    with DatasetWriter.open(tmp_path, INFO) as writer:
+        episode = start(writer, bound_bytes=IMAGE_BYTES)
         for row in given[:4]:
             episode.add(row)  # the first image is kept, the second is not
         gate.open.set()
-        while encoders.waiting_bytes:
+        while episode._encoders.waiting_bytes:
             time.sleep(0.001)
         for row in given[4:]:
             episode.add(row)
@@ -203,11 +205,8 @@ def test_an_array_that_nobody_can_write_to_is_taken_as_it_is(tmp_path: Path, mon
     behind = np.zeros(SHAPE, np.uint8)
     window = behind.view()
     window.flags.writeable = False  # but not what it looks at
-    with (
-        DatasetWriter.open(tmp_path, INFO) as writer,
-        Encoders(1) as encoders,
-        start(writer, encoders=encoders) as episode,
-    ):
+    monkeypatch.setattr("rcs_data.record.background._usable_cpus", lambda: 1)  # so that they are encoded in order
+    with DatasetWriter.open(tmp_path, INFO) as writer, start(writer) as episode:
         for image in (frozen, view, window, behind):
             episode.add({**row, RGB: image})
     assert seen[0] is frozen
@@ -283,13 +282,13 @@ def test_a_forked_process_has_threads_of_its_own(tmp_path: Path) -> None:
 
 
 def test_threads_that_have_ended_take_nothing(tmp_path: Path) -> None:
-    encoders = Encoders(1)
-    encoders.close()
-    encoders.close()
-    with DatasetWriter.open(tmp_path, INFO) as writer, pytest.raises(WrongOrder, match="encoders are closed"):
-        start(writer, encoders=encoders).add(rows(1)[0])
-    with pytest.raises(InvalidSetup, match="threads is 0"):
-        Encoders(0)
+    first, second = rows(2)
+    with DatasetWriter.open(tmp_path, INFO) as writer:
+        episode = start(writer)
+        episode.add(first)
+        episode.finish(True)
+        with pytest.raises(WrongOrder, match="encoders are closed"):
+            episode.add(second)
 
 
 def test_a_bad_row_is_refused_at_once_and_the_episode_goes_on(tmp_path: Path) -> None:

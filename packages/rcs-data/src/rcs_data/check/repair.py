@@ -15,7 +15,7 @@ from rcs_data.check.dataset import Depth, check
 from rcs_data.check.folder import check_index
 from rcs_data.check.report import counted
 from rcs_data.errors import CorruptEpisode
-from rcs_data.files.durable import disk_errors
+from rcs_data.files.durable import disk_errors, quarantine
 from rcs_data.files.layout import (
     DATASET_FILE,
     EPISODES_FOLDER,
@@ -27,7 +27,6 @@ from rcs_data.files.layout import (
 )
 from rcs_data.files.lock import DatasetLock
 from rcs_data.files.output import OnProgress, remove_leftovers
-from rcs_data.files.quarantine import quarantine
 from rcs_data.index.history import Draft, damaged_history, finish_edit
 from rcs_data.index.index import Index, write_info
 from rcs_data.record.recover import CUT, settle_leftovers

@@ -16,6 +16,7 @@ from typing import Any
 
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
 from rcs_data.files.json_file import parsed_json
+from rcs_data.files.layout import QUARANTINE_FOLDER
 from rcs_data.files.text import check_texts, is_storable
 
 # A megabyte keeps system calls few; more is not faster.
@@ -199,6 +200,34 @@ def remove_tree(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
+
+
+def quarantine(root: Path, path: Path, name: str = "") -> Path:
+    """Put a damaged file or folder of a dataset aside, unchanged, at a free name where nothing reads it; return that.
+
+    Args:
+        root: The dataset's folder.
+        path: The file or folder.
+        name: Model for its name there; the name that it has if this is empty.
+
+    Raises:
+        DatasetError: It cannot be moved.
+        OSError: The disk is full or fails.
+    """
+    folder = root / QUARANTINE_FOLDER
+    folder.mkdir(exist_ok=True)
+    target = folder / (name or path.name)
+    number = 1
+    while target.exists():
+        number += 1
+        target = folder / f"{name or path.name}-{number}"
+    try:
+        path.rename(target)
+    except OSError as err:
+        raise DatasetError(f"Cannot move {path} to {target}: {err.strerror or err}.") from err
+    sync_folder(folder)
+    sync_folder(path.parent)
+    return target
 
 
 def link_file(source: Path, target: Path) -> None:

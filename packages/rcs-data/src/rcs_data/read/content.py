@@ -64,6 +64,4 @@ class ContentHash:
 
 
 def _is_null(column: pa.ChunkedArray | pa.Array) -> NDArray[np.bool_]:
-    return (
-        column.is_null().to_numpy(zero_copy_only=False) if isinstance(column, pa.Array) else column.is_null().to_numpy()
-    )
+    return column.is_null().to_numpy(zero_copy_only=False)

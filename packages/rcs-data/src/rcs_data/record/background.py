@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Self
 
-from rcs_data.errors import InvalidSetup, WrongOrder
+from rcs_data.errors import WrongOrder
 from rcs_data.files.closing import Closing
 from rcs_data.files.codec import encode_frame
 from rcs_data.files.flags import FrameFlag, companion
@@ -37,24 +37,15 @@ DEFAULT_BOUND_BYTES = 256 << 20
 """Images that may wait: half a second of six RGB cameras of 1280 x 720 at 30 Hz."""
 _MAX_ROWS = 10_000
 MOST_THREADS = 4
-"""Threads by default, given as many CPUs: six cameras of 1280 x 720 at 30 Hz keep two busy."""
+"""Threads, given as many CPUs: six cameras of 1280 x 720 at 30 Hz keep two busy."""
 
 
 class Encoders(Closing):
     """Threads that take work in order, several pieces at a time; a context manager."""
 
-    def __init__(self, threads: int | None = None) -> None:
-        """Start the threads.
-
-        Args:
-            threads: How many; None for one per CPU that this process may use, at most `MOST_THREADS`.
-
-        Raises:
-            InvalidSetup: Fewer than one thread.
-        """
-        count = min(MOST_THREADS, _usable_cpus()) if threads is None else threads
-        if count < 1:
-            raise InvalidSetup(f"threads is {threads}; valid is a whole number from 1, or None.")
+    def __init__(self) -> None:
+        """Start the threads: one per CPU that this process may use, at most `MOST_THREADS`."""
+        count = min(MOST_THREADS, _usable_cpus())
         self.lock = threading.Lock()
         """Guards `waiting_bytes` and all else that episodes share with the threads."""
         self.waiting_bytes = 0
@@ -138,21 +129,13 @@ class _Row:
 class BackgroundEpisode:
     """An `EpisodeWriter` whose rows are encoded and written by background threads."""
 
-    def __init__(
-        self,
-        episode: EpisodeWriter,
-        info: DatasetInfo,
-        *,
-        bound_bytes: int = DEFAULT_BOUND_BYTES,
-        encoders: Encoders | None = None,
-    ) -> None:
+    def __init__(self, episode: EpisodeWriter, info: DatasetInfo, *, bound_bytes: int = DEFAULT_BOUND_BYTES) -> None:
         """Take over an episode that has just started.
 
         Args:
             episode: The episode; nobody else may write to it from now on.
             info: The features of a row.
-            bound_bytes: How many bytes of images may wait, of all episodes that share the threads.
-            encoders: The threads; None for those that this process shares.
+            bound_bytes: How many bytes of images may wait, of all episodes of this process.
         """
         self.id = episode.id
         self._episode = episode
@@ -162,8 +145,8 @@ class BackgroundEpisode:
         self._flags = {key: companion(key, info.features, "flags") for key in self._images}
         self._lost: set[str] = set()
         """Images of which the newest was left out."""
-        self._is_borrowing = encoders is None
-        self._encoders = borrow() if encoders is None else encoders
+        self._encoders = borrow()
+        self._is_borrowing = True
         self._lock = self._encoders.lock
         self._is_written = threading.Condition(self._lock)
         self._waiting: deque[_Row] = deque()

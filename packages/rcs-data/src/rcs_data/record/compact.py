@@ -25,7 +25,7 @@ import pyarrow as pa
 
 from rcs_data.errors import CorruptEpisode, DatasetError
 from rcs_data.files.about import read_about
-from rcs_data.files.durable import disk_errors, sealed, sync_folder, write_file
+from rcs_data.files.durable import disk_errors, quarantine, sealed, sync_folder, write_file
 from rcs_data.files.frames_file import FramesWriter
 from rcs_data.files.info import SCHEMA_VERSION, DatasetInfo
 from rcs_data.files.layout import (
@@ -38,7 +38,6 @@ from rcs_data.files.layout import (
     STEPS_FILE,
     free_folder,
 )
-from rcs_data.files.quarantine import quarantine
 from rcs_data.files.steps_file import StepsWriter
 from rcs_data.files.stream import StreamReader
 from rcs_data.index.index import Index
