@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
+from statistics import NormalDist, correlation
 
 from rcs_data.errors import InvalidSetup
 from rcs_data.read.verdicts import wilson_interval
@@ -159,10 +159,7 @@ def pearson(real: Sequence[float], simulated: Sequence[float]) -> float | None:
     _check_domains(real, simulated)
     if min(len(set(real)), len(set(simulated))) == 1:  # a mean is rounded, so that the spread is not quite 0
         return None
-    mean_real, mean_simulated = sum(real) / len(real), sum(simulated) / len(simulated)
-    away = [(one - mean_real, other - mean_simulated) for one, other in zip(real, simulated, strict=True)]
-    spread = math.sqrt(sum(one**2 for one, _ in away) * sum(other**2 for _, other in away))
-    return sum(one * other for one, other in away) / spread
+    return correlation(real, simulated)
 
 
 def mean_maximum_rank_violation(real: Sequence[float], simulated: Sequence[float]) -> float:

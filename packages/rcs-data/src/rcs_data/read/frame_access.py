@@ -126,21 +126,16 @@ class FrameAccess:
             is_jpeg = feature.encoding == "jpeg"
             image = pixel_buffer(feature.shape) if is_jpeg else np.empty(feature.shape, feature.numpy_dtype)
             self._decoded[form] = image
-        numbers, file = self._images(episode, key, rows)
+        numbers = self._numbers_of(episode, key)
+        if wrong := [row for row in rows if not 0 <= row < len(numbers)]:
+            raise InvalidSetup(f"Episode {episode.id!r} has no row {wrong[0]}; valid are 0 to {len(numbers) - 1}.")
+        file = _opened(self._reader, episode)
         last: int | None = None
-        for n, number in enumerate(numbers.tolist()):
+        for n, number in enumerate(numbers[np.asarray(rows, np.intp)].tolist()):
             if number != last:
                 decoded(feature, file, number, rows[n], image)
             out[n] = image
             last = number
-
-    def _images(self, episode: EpisodeRecord, key: str, rows: Sequence[int]) -> tuple[NDArray[np.int32], FramesFile]:
-        """Return the numbers of the images in some rows, and the file that has them."""
-        numbers = self._numbers_of(episode, key)
-        wrong = [row for row in rows if not 0 <= row < len(numbers)]
-        if wrong:
-            raise InvalidSetup(f"Episode {episode.id!r} has no row {wrong[0]}; valid are 0 to {len(numbers) - 1}.")
-        return numbers[np.asarray(rows, np.intp)], _opened(self._reader, episode)
 
     def _numbers_of(self, episode: EpisodeRecord, key: str) -> NDArray[np.int32]:
         def read() -> tuple[dict[str, NDArray[np.int32]], int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
@@ -100,7 +99,7 @@ class Statistics:
             arrays = {name: np.array(values[name], np.float64) for name in _ARRAYS}
             return cls(count=int(values["count"]), **arrays)
         except (KeyError, TypeError, ValueError) as err:
-            raise InvalidSetup(f"Not statistics: {json.dumps(dict(values), default=str)[:200]}.") from err
+            raise InvalidSetup(f"Not statistics: {values!r:.200}.") from err
 
 
 class RunningStatistics:
