@@ -120,14 +120,14 @@ class Pairs:
         """Return whether one agent is better, at a level `alpha` that holds however often one looks."""
         return self.discordant >= FEWEST and self.evidence >= 1 / alpha
 
-    def needed(self, alpha: float = 0.05, power: float = 0.8) -> int | None:
+    def needed(self, alpha: float = 0.05) -> int | None:
         """Return about how many pairs would show the difference seen here by McNemar's test; None if there is none.
 
-        They have at least as many discordant ones as the test needs if all of those agree.
+        They show it with a probability of 0.8, if the rates are as seen here, and have at least as many discordant ones
+        as the test needs if all of those agree.
 
         Args:
             alpha: Level of the two-sided test.
-            power: Probability with which it is shown, if the rates are as seen here.
 
         Source: R. J. Connor, "Sample size for testing differences in proportions for the paired-sample design",
         Biometrics 43 (1987), 207-211.
@@ -135,7 +135,7 @@ class Pairs:
         if not self.difference:
             return None
         share = self.discordant / self.n
-        z_alpha, z_power = NormalDist().inv_cdf(1 - alpha / 2), NormalDist().inv_cdf(power)
+        z_alpha, z_power = NormalDist().inv_cdf(1 - alpha / 2), NormalDist().inv_cdf(0.8)
         root = z_alpha * math.sqrt(share) + z_power * math.sqrt(max(share - self.difference**2, 0.0))
         fewest = math.ceil(math.log2(2 / alpha))  # as `FEWEST` for 0.05
         return math.ceil(max((root / self.difference) ** 2, fewest * self.n / self.discordant))

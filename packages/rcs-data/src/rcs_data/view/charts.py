@@ -101,9 +101,9 @@ def chart(
     return figure(drawing, *caption, is_below=False, class_="plot", data_about=json.dumps(about))
 
 
-def ticks(low: float, high: float, wanted: int = 4) -> list[float]:
-    """Return round numbers in a range: about as many as wanted."""
-    rough = (high - low) / wanted
+def ticks(low: float, high: float) -> list[float]:
+    """Return round numbers in a range: about four."""
+    rough = (high - low) / 4
     unit = 10.0 ** math.floor(math.log10(rough))
     step = next(unit * factor for factor in (1, 2, 2.5, 5, 10) if unit * factor >= 0.999 * rough)
     first = math.ceil(low / step - 1e-9)

@@ -48,13 +48,13 @@ def element(tag: str, /, *content: object, **attributes: object) -> Html:
     return Html(f"<{tag}{words}>" + ("" if tag in _EMPTY else f"{joined(content)}</{tag}>"))
 
 
-def table(rows: Iterable[Sequence[object]], head: Sequence[object] = (), **attributes: object) -> Html:
+def table(rows: Iterable[Sequence[object]], head: Sequence[object] = ()) -> Html:
     """Return a table, with a line of headings, or with the first cell of each row as its heading."""
     lines = [element("tr", *(element("th", cell) for cell in head))] if head else []
     for row in rows:
         cells = [element("th" if not head and i == 0 else "td", cell) for i, cell in enumerate(row)]
         lines.append(element("tr", *cells))
-    return element("table", *lines, **attributes)
+    return element("table", *lines)
 
 
 def figure(content: object, *caption: object, is_below: bool = True, **attributes: object) -> Html:
