@@ -122,7 +122,6 @@ class Windows(Sequence[Window]):
         if pad not in get_args(Padding):
             raise InvalidSetup(f"pad is {pad!r}; valid are {', '.join(get_args(Padding))}.")
         self.history, self.horizon, self.stride = history, horizon, stride
-        self.info = dataset.info
         self.state_layout = state_layout(dataset.info, state)
         self.action_layout = action_layout(dataset.info, action)
         self.cameras = _chosen_cameras(dataset, cameras)

@@ -152,7 +152,8 @@ class BackgroundEpisode:
         self._waiting: deque[_Row] = deque()
         self._is_writing = False
         self._error: Exception | None = None
-        self._rows = 0
+        self.rows = 0
+        """Rows taken, the reset observation included."""
         self.dropped_images = 0
         self.dropped_rows = 0
         self._most_bytes = 0
@@ -163,11 +164,6 @@ class BackgroundEpisode:
         """Whether the episode is open, finished, discarded or aborted."""
         return self._episode.state
 
-    @property
-    def rows(self) -> int:
-        """Rows taken, the reset observation included."""
-        return self._rows
-
     def add(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None = None) -> None:
         """Queue one step as `EpisodeWriter.add` takes it, and return at once; arrays that are not read-only are copied.
 
@@ -176,7 +172,7 @@ class BackgroundEpisode:
             DatasetError: The disk is full or failed since the row before; the episode is aborted.
         """
         self._raise_error()
-        self._episode.check(row, sim_state, is_first=self._rows == 0)
+        self._episode.check(row, sim_state, is_first=self.rows == 0)
         given = dict(row)
         with self._lock:
             if len(self._waiting) >= _MAX_ROWS:
@@ -198,7 +194,7 @@ class BackgroundEpisode:
             self._encoders.waiting_bytes += taken.counted
             self._most_bytes = max(self._most_bytes, self._encoders.waiting_bytes)
             self._waiting.append(taken)
-            self._rows += 1
+            self.rows += 1
             is_encoded = not taken.missing
         if is_encoded:  # otherwise it is written after its last image
             self._encoders.submit(self._write)

@@ -64,7 +64,8 @@ class EpisodeWriter:
         """Ends the episode when its dataset is closed, given a reason; a thread that adds rows sets its own."""
         self._index = index
         self._folder = index.root / OPEN_FOLDER / episode_id
-        self._rows = 0
+        self.rows = 0
+        """Rows added, the reset observation included."""
         self._buffer = RowBuffer(index.info)
         header = EpisodeHeader(
             id=episode_id,
@@ -93,11 +94,6 @@ class EpisodeWriter:
                 raise
         self._flushed_at = time.monotonic()
 
-    @property
-    def rows(self) -> int:
-        """Rows added, the reset observation included."""
-        return self._rows
-
     def check(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None, *, is_first: bool) -> None:
         """Refuse a row that `add` would refuse; may be called while another thread adds.
 
@@ -125,7 +121,7 @@ class EpisodeWriter:
         """
         self._check_open("add a row")
         self._buffer.add(row, sim_state)
-        self._rows += 1
+        self.rows += 1
         if self._buffer.is_full or time.monotonic() - self._flushed_at > _FLUSH_AFTER_S:
             self._flush()
 
@@ -153,7 +149,7 @@ class EpisodeWriter:
             CorruptEpisode: The rows on the disk are not those that were added; the episode is aborted.
         """
         self._check_open("finish")
-        if self._rows == 0:
+        if self.rows == 0:
             raise InvalidSetup(f"Episode {self.id!r} has no rows; add the reset observation first, or discard it.")
         kept, measured = as_json(dict(outcome or {})), as_json(dict(timing or {}))
         if instruction is not None:
@@ -172,7 +168,7 @@ class EpisodeWriter:
                 ended=_now(),
                 instruction=instruction,
                 timing=measured,
-                rows=self._rows,
+                rows=self.rows,
             )
         except BaseException as err:  # a failing disk, or Ctrl-C
             if self._folder.exists():
@@ -212,7 +208,7 @@ class EpisodeWriter:
         if self.state == "aborted":
             return
         self._check_open("abort")
-        if self._rows == 0:
+        if self.rows == 0:
             self.discard()
             return
         if self._buffer.rows:

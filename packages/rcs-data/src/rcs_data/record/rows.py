@@ -46,21 +46,17 @@ class RowBuffer:
         self._image_bytes = 0
         # Simulations record faster than real time, so this is half a second of the episode, not of the wall clock.
         self._capacity = max(1, min(_CAPACITY, int(info.frequency / 2)))
-        self._rows = 0
+        self.rows = 0
+        """Number of buffered rows."""
         self._at_reset = True
         self._null_at_reset: set[str] = set()
-
-    @property
-    def rows(self) -> int:
-        """Number of buffered rows."""
-        return self._rows
 
     @property
     def is_full(self) -> bool:
         """Whether the rows must be taken before another can be added."""
         # The first row has empty columns, so it is a batch of its own. A megabyte of images is worth a write; more
         # would block other threads for milliseconds.
-        return self._rows >= self._capacity or self._at_reset or self._image_bytes > 1 << 20
+        return self.rows >= self._capacity or self._at_reset or self._image_bytes > 1 << 20
 
     def check(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None, *, is_first: bool) -> None:
         """Refuse an invalid row; changes nothing, so another thread may add rows meanwhile.
@@ -88,9 +84,9 @@ class RowBuffer:
         Raises:
             InvalidSetup: A key, shape, dtype or time is wrong.
         """
-        is_first = self._rows == 0 and self._at_reset
+        is_first = self.rows == 0 and self._at_reset
         self.check(row, sim_state, is_first=is_first)
-        i = self._rows
+        i = self.rows
         images: dict[str, bytes | None] = {}
         for feature in self._info.features:
             value: Any = row.get(feature.key)
@@ -115,11 +111,11 @@ class RowBuffer:
         if is_first:
             features = (f for f in self._info.features if not f.is_flags)
             self._null_at_reset = {f.key for f in features if row.get(f.key) is None}
-        self._rows += 1
+        self.rows += 1
 
     def take(self) -> pa.RecordBatch:
         """Return the rows and empty the buffer; the batch is valid until the next `add`."""
-        n = self._rows
+        n = self.rows
         arrays = [self._array(feature, n) for feature in self._info.features]
         if self._info.sim_state_size is not None:
             flat = pa.array(self._sim_states[:n].reshape(-1))
@@ -128,7 +124,7 @@ class RowBuffer:
         for images in self._images.values():
             images.clear()
         self._image_bytes = 0
-        self._rows = 0
+        self.rows = 0
         self._at_reset = False
         return batch
 
