@@ -35,19 +35,11 @@ class UnknownName(RcsError, KeyError):
         self.message = f"There is no {kind} named {given!r}.{nearest} Known: {', '.join(names) or 'none'}."
         if hint:
             self.message += f" {hint}"
-        super().__init__(self.message)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Say how to make it anew in another process: from its message and attributes, with its notes."""
-        return _unknown_name, (type(self), self.message), vars(self)
+        super().__init__(kind, given, names, hint)  # with which another process makes it anew
 
     def __str__(self) -> str:
         """Return the message itself; a KeyError would show it in quotes."""
         return self.message
-
-
-def _unknown_name(kind: type[UnknownName], message: str) -> UnknownName:
-    return kind.__new__(kind, message)
 
 
 class WrongOrder(RcsError, RuntimeError):
