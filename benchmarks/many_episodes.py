@@ -70,7 +70,7 @@ def record(copies: int, rows: int, *, in_background: bool) -> tuple[float, float
     numbers, state = rng.normal(size=(20, 7)), rng.normal(size=(20, STATE))
     with tempfile.TemporaryDirectory() as folder, DatasetWriter.open(Path(folder) / "dataset", info) as writer:
         opened = [writer.episode(f"{copy:03d}", seed=copy) for copy in range(copies)]
-        episodes = [BackgroundEpisode(episode, info) if in_background else episode for episode in opened]
+        episodes = [BackgroundEpisode(episode) if in_background else episode for episode in opened]
         start = time.perf_counter()
         for i in range(rows):
             row = {FEATURES[0].key: numbers[i % 20], FEATURES[1].key: smooth[i % 20]}

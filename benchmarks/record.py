@@ -59,7 +59,7 @@ def main(options: Options) -> None:
     idle_periods, idle_cpu, _ = run(frames, options, None)
     print(f"recording for {options.seconds:.0f} s", file=sys.stderr)
     with tempfile.TemporaryDirectory() as folder, DatasetWriter.open(Path(folder) / "dataset", info(frames)) as writer:
-        episode = BackgroundEpisode(writer.episode("a", seed=0), writer.info)
+        episode = BackgroundEpisode(writer.episode("a", seed=0))
         periods, cpu, shown = run(frames, options, episode)
         record = episode.finish(True)
         size = sum(path.stat().st_size for path in record.path.iterdir())

@@ -48,7 +48,7 @@ def record_many(writer: DatasetWriter) -> None:
         length = 20 + copy
         if turn % length == 0:
             episode = writer.episode(f"{copy:02d}-{turn // length:04d}", seed=copy)
-            episodes[copy] = BackgroundEpisode(episode, INFO) if copy % 2 else episode
+            episodes[copy] = BackgroundEpisode(episode) if copy % 2 else episode
         image = np.full((32, 32, 3), 10 * copy, np.uint8)
         number = 10_000 * copy + turn % length
         episodes[copy].add({"observation/number": number, "observation/frames/wrist/rgb": image})

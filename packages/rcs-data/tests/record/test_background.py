@@ -61,7 +61,7 @@ def encoding_threads() -> list[threading.Thread]:
 
 
 def start(writer: DatasetWriter, name: str = "a", **settings: Any) -> BackgroundEpisode:
-    return BackgroundEpisode(writer.episode(name, seed=0), INFO, **settings)
+    return BackgroundEpisode(writer.episode(name, seed=0), **settings)
 
 
 @pytest.mark.parametrize("threads", [1, 4])

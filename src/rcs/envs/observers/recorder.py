@@ -222,7 +222,7 @@ class Recorder(Observer):
         assert self._next is not None
         name, instruction = self._next
         episode = self._writer.episode(name, seed=seed, instruction=instruction)
-        self._episode = BackgroundEpisode(episode, self._writer.info) if self._is_background else episode
+        self._episode = BackgroundEpisode(episode) if self._is_background else episode
         self._next = None
         # A dataset that is closed first ends the episode as the recorder does.
         episode.end = lambda _: self.close()

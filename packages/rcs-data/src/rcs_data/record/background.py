@@ -26,7 +26,6 @@ from rcs_data.errors import WrongOrder
 from rcs_data.files.closing import Closing
 from rcs_data.files.codec import encode_frame
 from rcs_data.files.flags import FrameFlag, companion
-from rcs_data.files.info import DatasetInfo
 from rcs_data.read.reader import EpisodeRecord
 from rcs_data.record.episode_writer import EpisodeWriter, State
 from rcs_data.record.rows import Value
@@ -129,20 +128,19 @@ class _Row:
 class BackgroundEpisode:
     """An `EpisodeWriter` whose rows are encoded and written by background threads."""
 
-    def __init__(self, episode: EpisodeWriter, info: DatasetInfo, *, bound_bytes: int = DEFAULT_BOUND_BYTES) -> None:
+    def __init__(self, episode: EpisodeWriter, *, bound_bytes: int = DEFAULT_BOUND_BYTES) -> None:
         """Take over an episode that has just started.
 
         Args:
             episode: The episode; nobody else may write to it from now on.
-            info: The features of a row.
             bound_bytes: How many bytes of images may wait, of all episodes of this process.
         """
         self.id = episode.id
         self._episode = episode
-        self._info = info
         self._bound = bound_bytes
-        self._images = {f.key: f for f in info.features if f.is_image}
-        self._flags = {key: companion(key, info.features, "flags") for key in self._images}
+        features = episode.info.features
+        self._images = {f.key: f for f in features if f.is_image}
+        self._flags = {key: companion(key, features, "flags") for key in self._images}
         self._lost: set[str] = set()
         """Images of which the newest was left out."""
         self._encoders = borrow()
@@ -289,7 +287,7 @@ class BackgroundEpisode:
         data = b""
         try:
             if not row.is_forgotten:
-                data = encode_frame(self._images[key], image, self._info)
+                data = encode_frame(self._images[key], image, self._episode.info)
         except Exception as err:  # noqa: BLE001  raised where the loop is, when it is this row's turn
             row.error = err
         with self._lock:

@@ -58,6 +58,7 @@ class EpisodeWriter:
         if seed is not None and not abs(int(seed)) < MOST_SEED:
             raise InvalidSetup(f"The seed is {seed}; valid are whole numbers below 2 ** 128.")
         self.id = episode_id
+        self.info = index.info
         self.state: State = "open"
         self._process = os.getpid()
         self.end: Callable[[str], object] = self.abort
@@ -66,13 +67,13 @@ class EpisodeWriter:
         self._folder = index.root / OPEN_FOLDER / episode_id
         self.rows = 0
         """Rows added, the reset observation included."""
-        self._buffer = RowBuffer(index.info)
+        self._buffer = RowBuffer(self.info)
         header = EpisodeHeader(
             id=episode_id,
             seed=None if seed is None else int(seed),
             instruction=instruction,
             started=_now(),
-            versions={**index.info.versions, **library_versions()},
+            versions={**self.info.versions, **library_versions()},
         )
         with disk_errors(f"start episode {episode_id!r}", self._folder):
             try:
@@ -88,7 +89,7 @@ class EpisodeWriter:
                 self._folder.rmdir()
                 raise DatasetError(f"There already is an episode {episode_id!r} in {index.root}; choose another id.")
             try:
-                self._stream = StreamWriter(self._folder / ROWS_FILE, index.info.stream_schema, header)
+                self._stream = StreamWriter(self._folder / ROWS_FILE, self.info.stream_schema, header)
             except BaseException:  # a full disk
                 remove_tree(self._folder)
                 raise
@@ -178,7 +179,7 @@ class EpisodeWriter:
             raise
         assert folder is not None, "an episode with rows has a folder"
         self.state = "finished"
-        return EpisodeRecord(folder, self._index.info)
+        return EpisodeRecord(folder, self.info)
 
     def discard(self) -> None:
         """Remove the episode with all its rows; harmless after a refused `finish`, an abort or another discard.
