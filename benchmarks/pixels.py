@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 import rcs
 from rcs._core import PixelCameras
-from rcs.envs.ports.simulated_cameras import PixelPort
+from rcs.envs.ports.simulated import PixelPort
 from rcs.envs.vector import VecEnv
 from rcs.sim.pixels import Pixels
 

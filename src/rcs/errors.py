@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rcs_data.errors import CorruptEpisode as CorruptEpisode
 from rcs_data.errors import DatasetError as DatasetError
 from rcs_data.errors import InvalidSetup as InvalidSetup
@@ -37,10 +35,6 @@ class PlanningFailed(RcsError, RuntimeError):
         """
         super().__init__(message)
         self.reason = reason
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Say how to make it anew in another process."""
-        return type(self), (str(self), self.reason), vars(self)
 
 
 class DeviceFault(RcsError, RuntimeError):

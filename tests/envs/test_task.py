@@ -60,7 +60,7 @@ def test_a_value_of_the_wrong_kind_is_refused_with_what_is_valid(name: str, valu
 
 
 def test_an_unknown_option_is_refused_with_the_names_of_all() -> None:
-    with pytest.raises(InvalidSetup, match=r"Sorting has no options \['gapp'\]; valid: order, pieces, gap"):
+    with pytest.raises(InvalidSetup, match=r"task Sorting: .*'gapp'.* mean 'gap'.* gap, is_timed, label, order"):
         Sorting.parse_options({"gapp": 0.1})
 
 

@@ -17,8 +17,7 @@ from rcs.envs.parts import Parts
 from rcs.envs.ports.camera import CameraPort, FreshFrames
 from rcs.envs.ports.loads import PrivilegedPort, SimContactPort, SimLoadPort
 from rcs.envs.ports.port import ArmPort, EffectorPort, Port, is_streamed
-from rcs.envs.ports.simulated import SimArmPort, SimEffectorPort
-from rcs.envs.ports.simulated_cameras import PixelPort, SimCameraPort, SimTactilePort
+from rcs.envs.ports.simulated import PixelPort, SimArmPort, SimCameraPort, SimEffectorPort, SimTactilePort
 from rcs.envs.setup import Setup
 from rcs.envs.start import base_in_scene
 from rcs.envs.step.chain import Chain
@@ -140,7 +139,7 @@ def compose(parts: Parts) -> Scene:
     if parts.setup.randomisation is not None:
         add_textures(scene.spec, parts.setup.randomisation.textures)
         if parts.setup.randomisation.varies("action_latency"):
-            keep_history(scene.spec, parts.robots, _longest_latency(parts.setup))
+            keep_history(scene.spec, parts.robots, parts.setup.randomisation.action_latency[1])
         scene.varied = parts.setup.randomisation.fields
     return scene
 
@@ -149,10 +148,6 @@ def _bodies(parts: Parts) -> list[RobotPlacement]:
     """Return the robots of the scene; the body of a real arm follows it, and does not give way itself."""
     real = parts.devices.arms
     return [replace(robot, compliance=None) if robot.name in real else robot for robot in parts.robots]
-
-
-def _longest_latency(setup: Setup) -> float:
-    return 0.0 if setup.randomisation is None else setup.randomisation.action_latency[1]
 
 
 def _is_all_real(parts: Parts, cameras: Sequence[CameraPlacement]) -> bool:
@@ -182,7 +177,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
         bodies = {placement.name: SimRobot(world, placement) for placement in _bodies(parts)}
         if setup.stepping == "sync":
             for robot in bodies.values():
-                robot.wait_for_arrival(_longest_latency(setup))
+                robot.wait_for_arrival(0.0 if setup.randomisation is None else setup.randomisation.action_latency[1])
         clock = _frame_clock(setup, simulated, world) if simulated else None
         if (ranges := setup.randomisation) is not None:
             objects = parts.task.objects()

@@ -55,8 +55,11 @@ def layers_of(setup: Setup, robot: RobotPlacement, *, threads: int = 1, is_nativ
         "rotation_speed": robot.arm.tcp_turn_speed,
     }
     layers: list[Layer] = [limit_step(robot.arm, setup.frequency)] if is_bounded else []
-    if is_native:
-        layers += [NativeTwist(setup.frequency)] if control == TWIST else [limit_pose(robot.arm, setup.frequency)]
+    if is_native and control == TWIST:
+        layers.append(NativeTwist(setup.frequency))
+    elif is_native:
+        along_all_axes = np.sqrt(3.0) * robot.arm.tcp_speed  # as relative actions may ask for
+        layers.append(LimitPose(along_all_axes, robot.arm.tcp_turn_speed, frequency=setup.frequency))
     elif control in (TQUAT, XYZRPY):
         kinematics = kinematics_of(robot.arm, robot.end_effector)
         bound = None if setup.stepping == "sync" else np.array(robot.arm.velocity_limit) / setup.frequency
@@ -84,12 +87,6 @@ def limit_step(arm: ArmDescription, frequency: float) -> LimitStep:
         upper=arm.joint_upper,
         max_return=RETURN_SPEED / frequency,
     )
-
-
-def limit_pose(arm: ArmDescription, frequency: float) -> LimitPose:
-    """Return what bounds targets of the TCP to what relative actions ask for at a control frequency [Hz]."""
-    along_all_axes = np.sqrt(3.0) * arm.tcp_speed
-    return LimitPose(along_all_axes, arm.tcp_turn_speed, frequency=frequency)
 
 
 SAME = (1e-3, 1e-2)

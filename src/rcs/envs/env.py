@@ -352,8 +352,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         }
         if not homes or not self.has_setup or self.setup.at_end == "hold":
             return self._engine.close()
-        home = Approach(robots=homes, may_move=True)
-        return self._engine.close(lambda stack, clock, is_held: home.go(stack, clock, placements, is_held))
+        return self._engine.close(Approach(placements=placements, robots=homes, may_move=True).go)
 
     def _check_options(
         self, options: Mapping[str, Any] | None
@@ -376,9 +375,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         if not real:
             return None, start, None
         others = {name: own for name, own in start.robots.items() if name not in real}
-        approach = Approach(robots=real, **manner)
-        simulated = replace(start, robots=others) if self.is_simulated else None
-        return None, simulated, lambda stack, clock, is_held: approach.go(stack, clock, placements, is_held)
+        approach = Approach(placements=placements, robots=real, **manner)
+        return None, replace(start, robots=others) if self.is_simulated else None, approach.go
 
     def __str__(self) -> str:
         """Return the environment, its task and its stack, part by part."""

@@ -70,8 +70,5 @@ class EpisodeRandom:
     def bits(self) -> NDArray[np.uint64]:
         """Return 64 random bits for each copy, such as a key for other streams, (*leading,)."""
         with np.errstate(over="ignore"):
-            return self._next()
-
-    def _next(self) -> NDArray[np.uint64]:
-        self._state = self._state + GAMMA
-        return mix(self._state)
+            self._state = self._state + GAMMA
+            return mix(self._state)

@@ -117,6 +117,10 @@ class Task(ABC):
     class Options(Record):
         """Options of every task; a task with more options subclasses this as its own `Options`."""
 
+        hints: ClassVar[Mapping[str, str]] = {
+            "reward": "The reward is an option of the setup: reward='sparse', as `rcs.Setup` says."
+        }
+
     def __init__(self, area: Area, options: Options | Mapping[str, Any] | None = None) -> None:
         """Set area and options.
 
@@ -147,17 +151,10 @@ class Task(ABC):
                 f"The options of the task {cls.__name__} are {values!r}; valid is a {cls.__name__}.Options, a mapping "
                 "with some of its fields, or None."
             )
-        valid = [option.name for option in dataclasses.fields(cls.Options)]  # pyright: ignore[reportArgumentType]
-        if "reward" in (values or ()) and "reward" not in valid:
-            raise InvalidSetup(
-                "The reward is no option of a task but of the setup: reward='sparse', as `rcs.Setup` says."
-            )
-        if unknown := sorted(set(values or ()) - set(valid), key=str):
-            raise InvalidSetup(f"The task {cls.__name__} has no options {unknown}; valid: {', '.join(valid)}.")
         try:
-            return cls.Options(**(values or {}))
+            return cls.Options.from_json(values or {})
         except InvalidSetup as err:
-            raise InvalidSetup(f"The task option {err}") from err
+            raise InvalidSetup(f"The task {cls.__name__}: {err}") from err
 
     def furnish(self, scene: Scene) -> None:  # noqa: B027  an empty scene is a fine scene
         """Add the task's objects to a scene before it is compiled."""

@@ -20,7 +20,7 @@ from rcs.envs.step.engine import Engine
 from rcs.envs.step.simulation import Simulation
 from rcs.envs.step.stack import Stack
 from rcs.envs.step.state import EnvState, read_state, write_state
-from rcs.errors import InvalidSetup, WrongOrder
+from rcs.errors import InvalidSetup, WrongOrder, require_fields
 from rcs.sim.scene import RobotPlacement
 
 
@@ -231,8 +231,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             raise InvalidSetup(f"The reset options are {options!r}; valid is a dictionary, or None.")
         given = dict(options or {})
         mask = given.pop("reset_mask", None)
-        if given:
-            raise InvalidSetup(f"Unknown reset options {sorted(given)}; valid: 'reset_mask'.")
+        require_fields("reset option", given, ("reset_mask",))
         if mask is None:
             return None
         array = np.array(mask)

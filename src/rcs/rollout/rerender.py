@@ -15,7 +15,7 @@ from rcs_data.files.flags import FrameFlag, flags_key, time_key
 from rcs.envs import spaces as keys
 from rcs.envs.episode_random import EpisodeRandom
 from rcs.envs.observers.dataset_info import OBSERVATION, TIME_MONOTONIC, versions
-from rcs.envs.ports.simulated_cameras import SimCameraPort
+from rcs.envs.ports.simulated import SimCameraPort
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.rollout.derived_dataset import Derivation, EpisodeMaker, derive

@@ -233,10 +233,7 @@ def site_of(setup: Setup, hardware: Any) -> Site:
         InvalidSetup: It is none of what is valid there.
         UnknownName: A name in it, or in the setup, does not exist.
     """
-    return _site(hardware, resolve(setup))
-
-
-def _site(hardware: Any, parts: Parts) -> Site:
+    parts = resolve(setup)
     robots = {robot.name: (robot.arm, robot.end_effector) for robot in parts.robots}
     return Site.of(hardware, robots, [one.name for one in parts.cameras], [one.name for one in parts.tactile])
 
@@ -254,7 +251,7 @@ def devices_of(hardware: Any, parts: Parts) -> Devices:
     cameras = {camera.name: (camera.camera, _mode(parts.setup, camera)) for camera in parts.cameras}
     tactile = {sensor.name: sensor.sensor for sensor in parts.tactile}
     compliance = {robot.name: robot.compliance for robot in parts.robots if robot.compliance is not None}
-    return _site(hardware, parts).devices(robots, cameras, tactile, compliance)
+    return Site.of(hardware, robots, list(cameras), list(tactile)).devices(robots, cameras, tactile, compliance)
 
 
 def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:

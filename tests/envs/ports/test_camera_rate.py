@@ -13,7 +13,7 @@ from rcs_data.files.flags import FrameFlag
 import rcs
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.recorder import Recorder
-from rcs.envs.ports.simulated_cameras import SimCameraPort
+from rcs.envs.ports.simulated import SimCameraPort
 from rcs.testing.env_contract import require_same_bits
 
 pytestmark = pytest.mark.gl

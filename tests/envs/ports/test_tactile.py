@@ -8,8 +8,7 @@ from rcs_data import Dataset
 
 import rcs
 from rcs.agents import agent_for
-from rcs.envs.ports.simulated import SimArmPort
-from rcs.envs.ports.simulated_cameras import SimCameraPort, SimTactilePort
+from rcs.envs.ports.simulated import SimArmPort, SimCameraPort, SimTactilePort
 from rcs.envs.step.chain import Chain
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.stack import Stack

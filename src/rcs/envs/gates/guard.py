@@ -19,7 +19,7 @@ from rcs._core import CollisionChecker
 from rcs.envs.gates.gate import Gate
 from rcs.envs.gates.guarded_motion import TICK, GuardedMotions
 from rcs.envs.gates.guarded_scene import Box, GuardedScene
-from rcs.envs.layers.layer import CopyIndex
+from rcs.envs.layers.layer import CopyIndex, renew
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS, Action, Observation
 from rcs.errors import InvalidSetup, Refused
 from rcs.sim.scene import Scene
@@ -155,11 +155,7 @@ class Guard(Gate):
     def _count_from(self, measured: Mapping[str, Observation], names: Sequence[str], where: CopyIndex) -> None:
         for name in names:
             joints = np.array(measured[name][JOINTS], np.float64)
-            if name in self._commanded and where is not ...:
-                kept = self._commanded[name].copy()
-                kept[where] = joints[where]
-                joints = kept
-            self._commanded = {**self._commanded, name: joints}
+            self._commanded = {**self._commanded, name: renew(self._commanded.get(name), joints, where)}
         robots = [robot.name for robot, name in zip(self._robots, self._names, strict=True) if name in names]
         commanded = self._of_copy(self._commanded, 0)
         self._motions.stand({robot: commanded[robot] for robot in robots})

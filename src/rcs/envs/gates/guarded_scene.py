@@ -203,8 +203,7 @@ class GuardedScene:
     def _hold(self, copy: int, held: Held) -> None:
         """Have the objects that are held in a copy move with what holds them."""
         before = self._held.get(copy, {})
-        slipped = changed(before, held, SLIP, SLIP_TURN)
-        now = {body: held[body] if body in slipped else before[body] for body in held}
+        now = {body: before[body] if _is_same(before.get(body), held[body]) else held[body] for body in held}
         for body in self._attached.keys() - now.keys():
             for checker in (self.near, self.far):
                 checker.detach(body)
@@ -375,11 +374,8 @@ class HeldObjects:
         return Pose(self._data.xpos[body], [x, y, z, w])
 
 
-def changed(before: Held, now: Held, distance: float, turn: float) -> Collection[int]:
-    """Return the objects that are held anew, by something else, or that have slipped by more than that [m, rad]."""
-
-    def is_same(body: int) -> bool:
-        (holder, pose), (other, moved) = before[body], now[body]
-        return holder == other and pose.distance_to(moved) <= distance and pose.angle_to(moved) <= turn
-
-    return [body for body in now if body not in before or not is_same(body)]
+def _is_same(before: tuple[int, Pose] | None, now: tuple[int, Pose]) -> bool:
+    """Return whether an object is held by the same body as before and has not slipped."""
+    if before is None or before[0] != now[0]:
+        return False
+    return before[1].distance_to(now[1]) <= SLIP and before[1].angle_to(now[1]) <= SLIP_TURN

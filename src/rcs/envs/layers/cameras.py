@@ -82,7 +82,3 @@ class PointClouds(Layer):
                 points.flags.writeable = False
                 frames[name] = {**frame, POINTS: points}
         return {**observation, FRAMES: frames}
-
-    def __str__(self) -> str:
-        """Return the layer for the printed stack."""
-        return "PointClouds"

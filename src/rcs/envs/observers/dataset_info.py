@@ -60,28 +60,26 @@ def dataset_info(
     setup = env.setup if isinstance(env, VecEnv) or env.has_setup else None
     if setup is not None:
         require_recordable(setup)
-    features = _features(OBSERVATION, env.stack.observation_space.spaces, colour)
     is_foreign = not isinstance(env, VecEnv) and not env.robots  # in a simulator of another project
-    features = with_limits(features, None if setup is None or is_foreign else setup.robot)
+    arms = {} if setup is None or is_foreign else _arms_of(setup.robot)
+    limits = {f"{OBSERVATION}/{name}/joints".replace("//", "/"): bounds_of_joints(arm) for name, arm in arms.items()}
+    features = _features(OBSERVATION, env.stack.observation_space.spaces, colour)
+    features = [replace(feature, limits=limits.get(feature.key)) for feature in features]
     features += _features(ACTION, env.stack.action_space.spaces, colour)
     features += _features(EXECUTED, env.stack.executed_spaces, colour)
     features += [
         Feature(key="reward", shape=(), dtype="float64"),
         Feature(key="terminated", shape=(), dtype="bool"),
         Feature(key="truncated", shape=(), dtype="bool"),
-        Feature(key=TIME_MONOTONIC, shape=(), dtype="float64", unit="s"),
-        Feature(key=TIME_PERIOD, shape=(), dtype="float64", unit="s"),
-        Feature(key=TIME_COMMAND, shape=(), dtype="float64", unit="s"),
     ]
     simulated = env.simulation if isinstance(env, VecEnv) or env.is_simulated else None
-    if simulated is not None:
-        features.append(Feature(key=SIMULATED_TIME, shape=(), dtype="float64", unit="s"))
-    features += [Feature(key=f"time/{key}", shape=(), dtype="float64", unit="s") for key in env.stack.timed]
-    timed_by_device = [] if isinstance(env, VecEnv) else env.stack.device_timed
-    features += [Feature(key=f"{TIME_DEVICE}/{key}", shape=(), dtype="float64", unit="s") for key in timed_by_device]
+    times = [TIME_MONOTONIC, TIME_PERIOD, TIME_COMMAND, *([] if simulated is None else [SIMULATED_TIME])]
+    times += [f"time/{key}" for key in env.stack.timed]
+    times += [] if isinstance(env, VecEnv) else [f"{TIME_DEVICE}/{key}" for key in env.stack.device_timed]
+    features += [Feature(key=key, shape=(), dtype="float64", unit="s") for key in times]
     sensors = [name for key in env.stack.timed if (name := camera_of_time(key)) is not None]
     features += [Feature(key=flags_key(name), shape=(), dtype="uint8") for name in sensors]
-    notes = [*_origins(env), *notes]
+    notes = [*_origins(env, setup), *notes]
     features += [_note(note if isinstance(note, Note) else Note(note)) for note in notes]
     return DatasetInfo(
         frequency=env.frequency,
@@ -95,9 +93,8 @@ def dataset_info(
     )
 
 
-def _origins(env: Env | VecEnv) -> list[Note]:
+def _origins(env: Env | VecEnv, setup: Setup | None) -> list[Note]:
     """Return a note for the origin of each robot's relative actions, where they have one."""
-    setup = env.setup if isinstance(env, VecEnv) or env.has_setup else None
     if setup is None or setup.relative != "origin":
         return []
     key = keys.JOINTS if setup.control == keys.JOINTS else keys.TQUAT
@@ -146,18 +143,6 @@ def _features(prefix: str, entries: Mapping[str, spaces.Space[Any]], colour: Col
         dtype = cast("DType", str(space.dtype))  # checked by the feature
         features.append(Feature(key=f"{prefix}/{key}", shape=space.shape, dtype=dtype, unit=unit, encoding=encoding))
     return features
-
-
-def with_limits(features: Sequence[Feature], robot: str | Mapping[str, str] | None) -> list[Feature]:
-    """Return features of observations, with the limits of each arm's joints at those that are joint positions.
-
-    Args:
-        features: Features of observations.
-        robot: The robot of the setup: an arm, a lab, or arms by name; None where there is no setup.
-    """
-    arms = {} if robot is None else _arms_of(robot)
-    limits = {f"observation/{name}/joints".replace("//", "/"): bounds_of_joints(arm) for name, arm in arms.items()}
-    return [replace(feature, limits=limits.get(feature.key)) for feature in features]
 
 
 def bounds_of_joints(arm: ArmDescription) -> JointBounds:

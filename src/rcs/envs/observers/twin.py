@@ -242,7 +242,13 @@ def attach_twin(
         raise InvalidSetup(f"on_alarm is {on_alarm!r}; valid: 'info', 'hold', or a function.")
     if on_alarm == "hold" and all(port.device is None for port in env.stack.ports):
         raise InvalidSetup("An alarm cannot make simulated robots hold; use hardware=..., or on_alarm='info'.")
-    call = _hold_all(env) if on_alarm == "hold" else None if on_alarm == "info" else on_alarm
+
+    def hold_all(alarm: Alarm) -> None:
+        for port in env.stack.ports:
+            if port.device is not None:
+                port.device.set_fault(f"twin: {alarm}")
+
+    call = hold_all if on_alarm == "hold" else None if on_alarm == "info" else on_alarm
     twin = Twin(env.robots, limit=limit, longest_lag=longest_lag, on_alarm=call)
     observer = InBackground(twin)
     env.add_observer(observer)
@@ -251,14 +257,3 @@ def attach_twin(
     finally:
         env.remove_observer(observer)
         observer.close()
-
-
-def _hold_all(env: Env) -> Callable[[Alarm], None]:
-    """Return what has all devices of an environment hold, from any thread."""
-
-    def hold(alarm: Alarm) -> None:
-        for port in env.stack.ports:
-            if port.device is not None:
-                port.device.set_fault(f"twin: {alarm}")
-
-    return hold

@@ -11,8 +11,6 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +19,6 @@ from rcs.devices import Arm, ArmState, Gripper, GripperState, Hand, HandState
 from rcs.errors import DeviceFault
 
 _log = logging.getLogger(__name__)
-
-State = TypeVar("State")
 
 SLOW_READS = 2
 """After this many slow reads in a row, a device is slow; one alone may be the machine's."""
@@ -40,40 +36,28 @@ START_TIME = 10.0
 """How long an arm may take for that [s]."""
 
 
-class DeviceCalls(Generic[State]):
+class DeviceCalls:
     """Sends commands to one device and reads it; neither holds up the caller, however slow the device is.
 
     From its second slow read on, a device is commanded and read on a thread, one call at a time: it gets the newest
     command as soon as it is free, and the caller its newest state. Any error of a call there is the device's fault.
     """
 
-    def __init__(
-        self,
-        device: Gripper | Hand,
-        read: Callable[[], State],
-        send: Callable[[Any, float], None],
-        *,
-        valid_for: float = math.inf,
-        slow_after: float = math.inf,
-    ) -> None:
+    def __init__(self, device: Gripper | Hand, *, valid_for: float = math.inf, slow_after: float = math.inf) -> None:
         """Call nothing yet.
 
         Args:
             device: The device.
-            read: Measures it.
-            send: Sends it a target, which is valid for some seconds.
             valid_for: How long a command is valid without another [s].
             slow_after: A read that takes longer than this is slow [s].
         """
         self._device = device
-        self._read = read
-        self._send = send
         self._valid_for = valid_for
         self._slow_after = slow_after
         self._slow_reads = 0
-        self._waiting: deque[tuple[Any, int]] = deque(maxlen=1)  # whose calls are atomic
+        self._waiting: deque[tuple[NDArray[np.float32], int]] = deque(maxlen=1)  # whose calls are atomic
         self._holds = 0
-        self._newest: State | None = None
+        self._newest: GripperState | HandState | None = None
         self._cycle = 0.0
         self._turn = threading.Lock()
         self._must_end = threading.Event()
@@ -96,20 +80,20 @@ class DeviceCalls(Generic[State]):
             self._must_end.clear()
         self._device.open()
 
-    def send(self, target: Any) -> None:
+    def send(self, target: NDArray[np.float32]) -> None:
         """Send a target, or have it sent as soon as a slow device is free."""
         if self._thread is None:
             self._send(target, self._valid_for)
         else:
             self._waiting.append((target, self._holds))
 
-    def read(self) -> State:
+    def read(self) -> GripperState | HandState:
         """Measure the device, or return what a slow one has measured last."""
         if self._thread is not None:
             assert self._newest is not None, "the thread begins with a state"
             return self._newest
         begin = time.monotonic()
-        state = self._newest = self._read()
+        state = self._newest = self._device.state()
         self._cycle = time.monotonic() - begin
         self._slow_reads = self._slow_reads + 1 if self._cycle > self._slow_after else 0
         if self._slow_reads == SLOW_READS:
@@ -133,7 +117,7 @@ class DeviceCalls(Generic[State]):
             raise DeviceFault(f"{self._device.name} has not returned from a call for {LONGEST_CALL:g} s.")
         try:
             self._device.recover()
-            self._newest = self._read()
+            self._newest = self._device.state()
         finally:
             self._turn.release()
 
@@ -167,7 +151,7 @@ class DeviceCalls(Generic[State]):
             with self._turn:
                 try:
                     self._send_waiting()
-                    self._newest = self._read()
+                    self._newest = self._device.state()
                 except Exception as err:  # noqa: BLE001  whatever it is, it is the device's fault
                     pause = PAUSE_IN_FAULT
                     if not self._device.fault:
@@ -188,6 +172,12 @@ class DeviceCalls(Generic[State]):
         self._send(target, max(self._valid_for, CYCLES * (self._cycle + PAUSE)))
         if self._holds != holds:
             self._device.hold()  # `hold` was called while this command was on its way
+
+    def _send(self, target: NDArray[np.float32], valid_for: float) -> None:
+        if isinstance(self._device, Gripper):
+            self._device.command_opening(float(target[0]), valid_for=valid_for)
+        else:
+            self._device.command_joints(target.astype(np.float64), valid_for)
 
 
 LEAD = 0.1

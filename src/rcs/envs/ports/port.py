@@ -323,7 +323,7 @@ class EffectorPort(Port):
         self.timed = (key,)
         self.action_spaces = {key: keys.normalised_space(count)}
         self.observation_spaces = {key: keys.normalised_space(count)}
-        self._calls = DeviceCalls(device, device.state, self._send, valid_for=valid_for, slow_after=slow_after)
+        self._calls = DeviceCalls(device, valid_for=valid_for, slow_after=slow_after)
         self._freshness = Freshness(device, stale_after)
         self._kept: Arrays = {}
         self._measured = np.ones(count, np.float32)
@@ -373,9 +373,3 @@ class EffectorPort(Port):
     def close(self) -> None:
         """Let go of the device; closing twice is harmless."""
         self._calls.close()
-
-    def _send(self, target: NDArray[np.float32], valid_for: float) -> None:
-        if isinstance(self._device, Gripper):
-            self._device.command_opening(float(target[0]), valid_for=valid_for)
-        else:
-            self._device.command_joints(target.astype(np.float64), valid_for)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,9 @@ MayMove = bool | Callable[[str], bool]
 class Approach:
     """The start to which real robots go before an episode, and the permission to move."""
 
-    robots: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict[str, dict[str, NDArray[Any]]])
+    placements: Sequence[RobotPlacement]
+    """The robots of the environment."""
+    robots: Mapping[str, Mapping[str, NDArray[Any]]]
     """For robots by name: `joints` [rad], and `gripper` or `hand`, which follows when the arm has arrived."""
     may_move: MayMove | None = None
     """Whether they may go; None where no person can be asked."""
@@ -66,19 +68,12 @@ class Approach:
                 "they agree, or True where somebody watches."
             )
 
-    def go(
-        self,
-        stack: Stack,
-        clock: Clock,
-        placements: Sequence[RobotPlacement],
-        is_held: Callable[[], bool] = lambda: False,
-    ) -> None:
+    def go(self, stack: Stack, clock: Clock, is_held: Callable[[], bool]) -> None:
         """Ask, and move; gates see every target on the way.
 
         Args:
             stack: All robots. Those without a target stay where they are measured.
             clock: Keeps the rate.
-            placements: The robots of the environment.
             is_held: Whether another thread has said since that all devices shall hold.
 
         Raises:
@@ -86,12 +81,12 @@ class Approach:
             Refused: The person does not agree, and nothing has moved; or a gate does not on the way, or `is_held`.
             DeviceFault: A device failed on the way, or an arm has not arrived.
         """
-        question = self._question(self._ways(stack, placements))
+        question = self._question(self._ways(stack))
         if self.may_move is False or (callable(self.may_move) and self.may_move(question) is not True):
             raise Refused(f"Nothing has moved, because nobody agreed to this: {question}")
         clock.reset()
         self._come_to_rest(stack, clock)
-        ways = self._ways(stack, placements)  # anew: somebody may have moved an arm while the question was open
+        ways = self._ways(stack)  # anew: somebody may have moved an arm while the question was open
         stay = _stay(stack)
         for way in ways:
             for key in ARM_KEYS:
@@ -123,14 +118,14 @@ class Approach:
                     "it, then start again."
                 )
 
-    def _ways(self, stack: Stack, placements: Sequence[RobotPlacement]) -> list[_Way]:
+    def _ways(self, stack: Stack) -> list[_Way]:
         """Return the way of every robot that has one, from where it is measured now."""
         ways = list[_Way]()
         measured = stack.measure_devices()
-        for one in placements:
+        for one in self.placements:
             if (goal := self.robots.get(one.name)) is None:
                 continue
-            chain = NAMELESS if len(placements) == 1 else one.name
+            chain = NAMELESS if len(self.placements) == 1 else one.name
             box = stack.chains[chain].joint_space
             assert box is not None, "a robot has an arm"
             if not box.contains(goal[keys.JOINTS]):

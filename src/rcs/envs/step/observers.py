@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +14,6 @@ from rcs.envs.step.clock import Clock
 from rcs.envs.step.judge import Step, row
 from rcs.envs.step.simulation import Simulation
 from rcs.envs.step.stack import Stack, for_all
-
-
-class _Moment(NamedTuple):
-    """The part of a transition that is read from simulation and sensors; fields as in `Transition`."""
-
-    capture_times: dict[str, float]
-    device_times: dict[str, float]
-    sim_state: NDArray[np.float64] | None
-    objects: dict[str, NDArray[np.float64]]
 
 
 class Observers:
@@ -36,8 +27,8 @@ class Observers:
         self._is_batch = simulation is not None and bool(simulation.world.leading)
         self._observers: list[tuple[int, Observer]] = []
         self._notes: dict[str, Any] = {}
-        self._last: dict[int, _Moment] = {}
-        """The moments that were shown last, by copy."""
+        self._last: dict[int, dict[str, Any]] = {}
+        """What transitions have of simulation and sensors, at the moments that were shown last, by copy."""
         self.command_time: float | None = None
         """Time at which the targets of the present step were sent [s]."""
         self.after_hold = False
@@ -139,22 +130,20 @@ class Observers:
             time=self._clock.now(),
             command_time=None if step is None else self.command_time,
             after_hold=step is not None and self.after_hold,
-            capture_times=moment.capture_times,
-            device_times=moment.device_times,
-            sim_state=moment.sim_state,
-            objects=moment.objects,
             notes=self._notes,
+            **moment,
         )
 
-    def _moment(self, copy: int) -> _Moment:
+    def _moment(self, copy: int) -> dict[str, Any]:
+        """Return the fields of a transition that are read from simulation and sensors."""
         simulation, times = self._simulation, self._stack.capture_times()
         objects = {} if simulation is None else simulation.object_poses()
-        return _Moment(
-            capture_times=row(times, copy) if self._is_batch else times,
-            device_times={} if self._is_batch else self._stack.device_times(),
-            sim_state=None if simulation is None else simulation.world.core.get_state(copy),
-            objects=row(objects, copy) if self._is_batch else objects,
-        )
+        return {
+            "capture_times": row(times, copy) if self._is_batch else times,
+            "device_times": {} if self._is_batch else self._stack.device_times(),
+            "sim_state": None if simulation is None else simulation.world.core.get_state(copy),
+            "objects": row(objects, copy) if self._is_batch else objects,
+        }
 
 
 def _arrays(action: Mapping[str, Any]) -> dict[str, Any]:

@@ -170,12 +170,8 @@ def _rows_of(owner: Any, leading: tuple[int, ...], copies: NDArray[np.int32]) ->
         value = _get(owner, name)
         if value is None:  # not remembered yet
             continue
-        if isinstance(value, Mapping):
-            rows[name] = {key: _row(own, leading, copies) for key, own in value.items()}
-        elif hasattr(value, "memory"):
-            rows[name] = _rows_of(value, leading, copies)
-        else:
-            rows[name] = _row(value, leading, copies)
+        has_parts = hasattr(value, "memory")
+        rows[name] = _rows_of(value, leading, copies) if has_parts else _row(value, leading, copies)
     return rows
 
 
