@@ -60,7 +60,7 @@ def main(options: Options) -> None:
     name = next(name for name, mount in lab.cameras.items() if mount.on_gripper_of is None)
     setup = rcs.Setup(task=options.task, robot=options.robot, cameras=tuple(lab.cameras))
     parts = resolve(setup)
-    env = assemble(parts, is_blind=True)
+    env = assemble(parts, drawn=())
     world = env.simulation.world
     assert world.data is not None
     states = positions_of_an_episode(env)

@@ -46,23 +46,21 @@ SLOW_READ = 0.5
 """A gripper or hand that takes a larger share of a control period to read is read on a thread."""
 
 
-def assemble(
-    parts: Parts, *, render_mode: str | None = None, is_blind: bool = False, drawn: Sequence[str] | None = None
-) -> Env:
+def assemble(parts: Parts, *, render_mode: str | None = None, drawn: Sequence[str] | None = None) -> Env:
     """Put one environment together, simulated, real, or some of each.
 
     Args:
         parts: Its parts.
         render_mode: Mode of `render`; None for nothing.
-        is_blind: Leave the cameras in the scene, whose state they are part of, but observe no frames.
-        drawn: Names of the cameras to observe, in this order; the others stay in the scene. None for all.
+        drawn: Names of the cameras to observe, in this order; None for all. The others stay in the scene, whose state
+            they are part of.
 
     Raises:
         InvalidSetup: Synchronous steps of simulated and real devices together, or pictures without a simulation.
     """
     setup, devices = parts.setup, parts.devices
     by_name = {camera.name: camera for camera in parts.cameras}
-    cameras = [] if is_blind else [by_name[name] for name in (by_name if drawn is None else drawn)]
+    cameras = [by_name[name] for name in (by_name if drawn is None else drawn)]
     world: World | None = None
     if not _is_all_real(parts, cameras):
         if devices and setup.stepping == "sync":
@@ -99,7 +97,7 @@ def assemble(
         observers=parts.observers,
         picture=picture,
         render_mode=render_mode,
-        title=parts.title,
+        title=setup.title,
     )
 
 
@@ -110,15 +108,7 @@ def assemble_vec(parts: Parts, *, copies: int, threads: int, autoreset: Autorese
     world = World(model, copies=copies, threads=threads, frequency=setup.frequency, stepping=setup.stepping)
     simulation, stack = _populate(parts, world, parts.cameras)
     assert simulation is not None, "there is a world"
-    return VecEnv(
-        stack,
-        Clock(world),
-        simulation,
-        setup=setup,
-        max_episode_steps=setup.max_episode_steps,
-        autoreset=autoreset,
-        title=parts.title,
-    )
+    return VecEnv(stack, Clock(world), simulation, setup=setup, autoreset=autoreset)
 
 
 def compose(parts: Parts) -> Scene:

@@ -19,15 +19,12 @@ from rcs.envs.start import Start, check_start, check_state
 from rcs.envs.step.approach import Approach
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.engine import Approaches, Engine
-from rcs.envs.step.judge import DIVERGED, FAULT
 from rcs.envs.step.simulation import Simulation
 from rcs.envs.step.stack import Stack
 from rcs.envs.step.state import EnvState, read_state, write_state
 from rcs.errors import InvalidSetup, WrongOrder, require_fields
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.viewer import Picture
-
-__all__ = ["DIVERGED", "FAULT", "Env"]
 
 _ONLY = np.zeros(1, np.int32)
 """The copies of a single environment."""

@@ -57,8 +57,3 @@ class Parts:
             for robot in self.robots
         )
         object.__setattr__(self, "robots", robots)
-
-    @property
-    def title(self) -> str:
-        """First line of the printed environment."""
-        return f"rcs {self.setup.task} with {self.setup.robot_label}"

@@ -225,6 +225,11 @@ class Setup(Record):
         """Name of the robot for people; for arms side by side, their names joined by `+`."""
         return self.robot if isinstance(self.robot, str) else "+".join(self.robot.values())
 
+    @property
+    def title(self) -> str:
+        """First line of the printed environment."""
+        return f"rcs {self.task} with {self.robot_label}"
+
     def end_effector_of(self, robot: str) -> str | None:
         """Return the name of a robot's end effector; None for its usual one."""
         return self.end_effector.get(robot) if isinstance(self.end_effector, Mapping) else self.end_effector

@@ -38,9 +38,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         simulation: Simulation,
         *,
         setup: Setup,
-        max_episode_steps: int | None = None,
         autoreset: AutoresetMode = AutoresetMode.NEXT_STEP,
-        title: str = "rcs.VecEnv",
     ) -> None:
         """Put the environment together.
 
@@ -49,14 +47,11 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             clock: Lets time pass.
             simulation: The world with its task.
             setup: Setup of the environment.
-            max_episode_steps: An episode is truncated after this many steps; None for no limit.
             autoreset: When a copy starts its next episode: in the step after its end, in the same step, or never by
                 itself.
-            title: First line of the printed environment.
         """
-        self._engine = Engine(stack, clock, simulation, max_episode_steps=max_episode_steps)
+        self._engine = Engine(stack, clock, simulation, max_episode_steps=setup.max_episode_steps)
         self._autoreset = autoreset
-        self._title = title
         self._has_seeds = False
         self.setup = setup
         """The setup that the environment was made from."""
@@ -263,12 +258,12 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
 
     def __str__(self) -> str:
         """Return the environment, its task and its stack, part by part."""
-        return "\n".join([self._title, f"  {self.simulation}", str(self.stack)])
+        return "\n".join([self.setup.title, f"  {self.simulation}", str(self.stack)])
 
     def __repr__(self) -> str:
         """Return the first line."""
         cameras = FRAMES in self.stack.observation_space.spaces
-        return f"{self._title} ({self.num_envs} copies{', with cameras' if cameras else ''})"
+        return f"{self.setup.title} ({self.num_envs} copies{', with cameras' if cameras else ''})"
 
 
 def _with_begun(info: Mapping[str, Any], begun: Mapping[str, Any], where: NDArray[np.bool_]) -> dict[str, Any]:

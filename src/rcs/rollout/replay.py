@@ -61,7 +61,7 @@ def replay(path: str | Path, *, trust: Collection[str] = ()) -> Iterator[ReplayR
     setup = dataclasses.replace(physics_of(dataset, trust=trust), assets="builtin")
     require_rate(dataset, setup)
     # Neither cameras nor their appearance change the physics, and without frames a replay is ten times faster.
-    with closing(assemble(resolve(setup), is_blind=True)) as env:
+    with closing(assemble(resolve(setup), drawn=())) as env:
         own = env.simulation.world.core.state_size
         for episode in dataset.episodes:
             if dataset.info.sim_state_size != own:

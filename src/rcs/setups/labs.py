@@ -42,16 +42,14 @@ DUAL_FR3: Final = Lab(
     area=Area(center=(0.5, 0.0), size=(0.16, 0.10)),
     cameras={
         "front": CameraMount(camera="realsense_d435", optical=looking((1.45, 0.0, 0.75), (0.40, 0.0, 0.10))),
-        "left_wrist": CameraMount(
-            camera="realsense_d405",
-            optical=looking((0.070, 0.0, 0.045), (0.0, 0.0, 0.17), up=(1.0, 0.0, 0.0)),
-            on_gripper_of="left",
-        ),
-        "right_wrist": CameraMount(
-            camera="realsense_d405",
-            optical=looking((0.070, 0.0, 0.045), (0.0, 0.0, 0.17), up=(1.0, 0.0, 0.0)),
-            on_gripper_of="right",
-        ),
+        **{
+            f"{arm}_wrist": CameraMount(
+                camera="realsense_d405",
+                optical=looking((0.070, 0.0, 0.045), (0.0, 0.0, 0.17), up=(1.0, 0.0, 0.0)),
+                on_gripper_of=arm,
+            )
+            for arm in ("left", "right")
+        },
     },
 )
 

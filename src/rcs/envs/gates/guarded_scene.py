@@ -22,7 +22,7 @@ from rcs.envs.spaces import GRIPPER, HAND, JOINTS
 from rcs.errors import InvalidSetup
 from rcs.sim.scene import TABLE, RobotPlacement, Scene
 from rcs.sim.world import World
-from rcs.spatial import Pose
+from rcs.spatial import Pose, wxyz_to_xyzw
 
 Box = tuple[Sequence[float], Sequence[float]]
 """Lowest and highest corner [m], in the frame of the scene."""
@@ -107,8 +107,8 @@ class GuardedScene:
         asked = [*near, *touch, *ignore, *itertools.chain.from_iterable(allow)]
         if unknown := sorted(set(asked) - names):
             raise InvalidSetup(f"The scene has no body {unknown[0]!r}; there are {', '.join(sorted(names))}.")
-        hands = [self._bodies_of(robot.gripper_prefix) for robot in self._robots]
-        arms = [self._bodies_of(robot.prefix) for robot in self._robots]
+        hands = [{name for name in names if name.startswith(robot.gripper_prefix)} for robot in self._robots]
+        arms = [{name for name in names if name.startswith(robot.prefix)} for robot in self._robots]
         self._allowed = [pair for hand in hands for pair in itertools.combinations_with_replacement(hand, 2)]
         self._allowed += [(body, part) for body in touch for hand in hands for part in hand]
         self._allowed += [(body, part) for body in ignore for arm in arms for part in arm]
@@ -266,10 +266,6 @@ class GuardedScene:
         names = [robot.prefix + name for name in robot.arm.joints] + [robot.gripper_prefix + name for name in fingers]
         return [self._model.joint(name).id for name in names]
 
-    def _bodies_of(self, prefix: str) -> set[str]:
-        names = (self._model.body(i).name for i in range(self._model.nbody))
-        return {name for name in names if name.startswith(prefix)}
-
     def _last_link(self, robot: RobotPlacement) -> str:
         """Return the body of the TCP, or the nearest one before it that can touch anything."""
         model = self._model
@@ -370,8 +366,7 @@ class HeldObjects:
         ]
 
     def _pose(self, body: int) -> Pose:
-        w, x, y, z = self._data.xquat[body]
-        return Pose(self._data.xpos[body], [x, y, z, w])
+        return Pose(self._data.xpos[body], wxyz_to_xyzw(self._data.xquat[body]))
 
 
 def _is_same(before: tuple[int, Pose] | None, now: tuple[int, Pose]) -> bool:

@@ -29,6 +29,9 @@ _log = logging.getLogger(__name__)
 PHYSICS_STEP = 0.002
 """Time step of the twin's physics [s]."""
 
+TOLERANCE = 0.01
+"""By how much the lag may change without counting as an error [s]."""
+
 OnAlarm = Literal["info", "hold"]
 """Effect of an alarm: it is in `info["twin"]`; with `hold`, all devices also enter their fault state and hold."""
 
@@ -83,8 +86,6 @@ class Twin(Observer):
         robots: Mapping[str, RobotPlacement],
         *,
         limit: float = 0.01,
-        tolerance: float = 0.01,
-        window: float = 2.0,
         longest_lag: float = 0.1,
         smoothing: float = SMOOTHING,
         on_alarm: Callable[[Alarm], None] | None = None,
@@ -94,8 +95,6 @@ class Twin(Observer):
         Args:
             robots: The robots by name, as `env.robots` has them.
             limit: Error of a joint from which on there is an alarm [rad]. Lower is found earlier; above noise and sag.
-            tolerance: By how much the lag may change without counting as an error [s].
-            window: Time over which errors and lag are taken [s].
             longest_lag: Longest lag of a healthy robot [s].
             smoothing: Time constant of each of the two low-passes through which the twin takes targets [s]; that of the
                 robot's own driver. A robot that smooths less is ahead of its twin, which counts as an error.
@@ -104,19 +103,18 @@ class Twin(Observer):
         Raises:
             InvalidSetup: A number is not positive, or there is no robot.
         """
-        if not robots or not limit > 0 or not tolerance >= 0:
+        if not robots or not limit > 0:
             raise InvalidSetup(
-                f"limit is {limit} rad, tolerance {tolerance} s, and there are {len(robots)} robots; valid are a "
-                "positive limit, a tolerance from 0, and at least one robot."
+                f"limit is {limit} rad, and there are {len(robots)} robots; valid is a positive limit, and at least one "
+                "robot."
             )
         self.world = TimedWorld(list(robots.values()), physics_step=PHYSICS_STEP, smoothing=smoothing)
         """The simulation."""
         self._robots = dict(robots)
-        self._limit, self._tolerance = limit, tolerance
+        self._limit = limit
         self._on_alarm = on_alarm
         self._tracking = {
-            name: Tracking(robot.arm.dof, grid=PHYSICS_STEP, window=window, longest_lag=longest_lag)
-            for name, robot in robots.items()
+            name: Tracking(robot.arm.dof, grid=PHYSICS_STEP, longest_lag=longest_lag) for name, robot in robots.items()
         }
         self._alarms: dict[str, Alarm] = {}
         self.comparisons: Mapping[str, Comparison] = {}
@@ -178,7 +176,7 @@ class Twin(Observer):
         tracking = self._tracking[name]
         tracking.measure(time, joints)
         lag = tracking.find_lag() if name not in self._alarms else tracking.lag
-        around = (0.0, tracking.longest_lag) if lag is None else (lag - self._tolerance, lag + self._tolerance)
+        around = (0.0, tracking.longest_lag) if lag is None else (lag - TOLERANCE, lag + TOLERANCE)
         error = tracking.deviation(*around)
         if error.max() > self._limit and name not in self._alarms:
             worst = int(error.argmax())

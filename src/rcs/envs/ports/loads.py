@@ -165,7 +165,7 @@ class _SoftMotion:
         places = self._world.field("body_pos")[..., self._bodies, :] + self._world.qpos[..., self._qpos].reshape(shape)
         velocities = self._world.qvel[..., self._dof].reshape(shape)
         places, mean = places - _mean(places)[..., None, :], _mean(velocities)
-        spin = _mean(_cross(places, velocities - mean[..., None, :]))
+        spin = _mean(np.cross(places, velocities - mean[..., None, :]))
         products = places[..., :, None] * places[..., None, :]
         trace = places[..., 0] ** 2 + places[..., 1] ** 2 + places[..., 2] ** 2
         inertia = _mean(trace[..., None, None] * np.eye(3) - products, axes=2)
@@ -199,11 +199,6 @@ def _mean(values: NDArray[np.float64], axes: int = 1) -> NDArray[np.float64]:
     for node in nodes[1:]:
         total += node
     return total * (1.0 / count)
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    (ax, ay, az), (bx, by, bz) = ([v[..., i] for i in range(3)] for v in (a, b))
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
 
 
 def _turned(rotation: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -128,7 +128,7 @@ class Chain:
             if self._is_disjoint:
                 observation.update(port.observe())
             else:
-                observation = _merged(observation, port.observe())
+                observation = merged(observation, port.observe())
         return observation
 
     def lift(self, observation: Observation) -> Observation:
@@ -247,11 +247,12 @@ def _merged_spaces(
     return merged
 
 
-def _merged(one: Observation, other: Mapping[str, Any]) -> Observation:
+def merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+    """Return all entries; of dictionaries under the same key, those of both."""
     return {
         **one,
         **{
-            key: {**one[key], **value} if key in one and isinstance(value, dict) else value
+            key: {**one[key], **value} if isinstance(value, dict) and isinstance(one.get(key), dict) else value
             for key, value in other.items()
         },
     }

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.observer import Observer, Transition
 from rcs.envs.spaces import Observation
+from rcs.envs.step.chain import merged
 from rcs.envs.step.clock import Clock
 from rcs.envs.step.judge import Step, row
 from rcs.envs.step.simulation import Simulation
@@ -93,9 +94,7 @@ class Observers:
         info: dict[str, Any] = {}
         for _, observer in self._observers:
             if type(observer).info is not Observer.info:
-                for key, value in observer.info().items():  # several may have parts of one key, such as their errors
-                    is_part = isinstance(value, dict) and isinstance(info.get(key), dict)
-                    info[key] = {**info[key], **value} if is_part else value
+                info = merged(info, observer.info())  # several may have parts of one key, such as their errors
         return info
 
     def closes(self) -> list[Callable[[], None]]:

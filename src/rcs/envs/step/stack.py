@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from rcs.envs.gates.gate import Gate
 from rcs.envs.layers.layer import CopyIndex, Layer
 from rcs.envs.ports.port import Port, is_streamed
 from rcs.envs.spaces import Action, Observation
-from rcs.envs.step.chain import Chain
+from rcs.envs.step.chain import Chain, merged
 from rcs.errors import InvalidAction, InvalidSetup, Refused, UnknownName
 
 NAMELESS = ""
@@ -67,12 +68,12 @@ class Stack:
     @property
     def about(self) -> dict[str, dict[str, Any]]:
         """Facts about sensors for datasets: `cameras` (options, calibrations) and `labels` (names in segmentation)."""
-        return _merged(port.about for port in self.ports)
+        return reduce(merged, (port.about for port in self.ports), dict[str, Any]())
 
     @property
     def device_facts(self) -> dict[str, dict[str, Any]]:
         """Facts that open devices report, for episodes: `cameras` (serial numbers, calibrations of their own)."""
-        return _merged(port.device_facts for port in self.ports)
+        return reduce(merged, (port.device_facts for port in self.ports), dict[str, Any]())
 
     @property
     def layers(self) -> list[Layer]:
@@ -323,14 +324,6 @@ class Stack:
 
 def _prefix(name: str) -> str:
     return f"{name}/" if name else ""
-
-
-def _merged(facts: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    merged: dict[str, dict[str, Any]] = {}
-    for own in facts:
-        for key, values in own.items():
-            merged[key] = {**merged.get(key, {}), **values}
-    return merged
 
 
 def _space(boxes: Mapping[str, Mapping[str, spaces.Space[Any]]]) -> spaces.Dict:
