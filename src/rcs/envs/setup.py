@@ -81,24 +81,16 @@ class Setup(Record):
     hints: ClassVar[Mapping[str, str]] = {
         "fps": "Use frequency; cameras=rcs.Cameras(fps=...) for frames.",
         "hz": "Use frequency.",
-        "gripper": "Use end_effector.",
-        "hand": "Use end_effector.",
-        "num_envs": "Use rcs.make_vec(task, copies=...).",
-        "n_envs": "Use rcs.make_vec(task, copies=...).",
-        "copies": "Use rcs.make_vec(task, copies=...).",
-        "control_mode": "Use control.",
-        "action_space": "Use control.",
-        "obs": "Use observe.",
-        "observations": "Use observe.",
+        **dict.fromkeys(("gripper", "hand"), "Use end_effector."),
+        **dict.fromkeys(("num_envs", "n_envs", "copies"), "Use rcs.make_vec(task, copies=...)."),
+        **dict.fromkeys(("control_mode", "action_space", "action_space_type"), "Use control."),
+        **dict.fromkeys(("obs", "observations"), "Use observe."),
         "seed": "Give it to env.reset(seed=...).",
-        "max_steps": "Use max_episode_steps.",
-        "horizon": "Use max_episode_steps.",
-        "randomize": "Use randomisation.",
-        "domain_randomization": "Use randomisation.",
+        **dict.fromkeys(("max_steps", "horizon"), "Use max_episode_steps."),
+        **dict.fromkeys(("randomize", "domain_randomization"), "Use randomisation."),
         "timestep": "Use physics_step.",
         "camera_names": "Use cameras.",
         "use_camera_obs": "Use cameras='all'.",
-        "action_space_type": "Use control.",
         **{
             name: f"Use cameras=rcs.Cameras({name.removeprefix('camera_')}=...)."
             for name in (
@@ -107,10 +99,7 @@ class Setup(Record):
             )
         },
         "camera_sizes": "Use cameras=rcs.Cameras(image_size={'wrist': (320, 240)}).",
-        "control=pose": "Use 'xyzrpy' or 'tquat'.",
-        "control=cartesian": "Use 'xyzrpy' or 'tquat'.",
-        "control=ee": "Use 'xyzrpy' or 'tquat'.",
-        "control=tcp": "Use 'xyzrpy' or 'tquat'.",
+        **{f"control={name}": "Use 'xyzrpy' or 'tquat'." for name in ("pose", "cartesian", "ee", "tcp")},
         "control=velocity": "Use 'twist', velocities of the TCP.",
         "control=joint_position": "Use 'joints'.",
     }  # fmt: skip

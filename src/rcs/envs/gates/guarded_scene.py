@@ -327,17 +327,13 @@ class HeldObjects:
         self.bodies = [b.id for b in bodies if b.jntnum[0] == 1 and model.jnt_type[b.jntadr[0]] == free]
         """Ids of the objects that may be held."""
         owners = [model.body(body).name for body in model.geom_bodyid]
+        solid = (model.geom_contype | model.geom_conaffinity) != 0
         self._hands = [
-            np.array(
-                [g for g, name in enumerate(owners) if name.startswith(robot.gripper_prefix) and self._collides(g)]
-            )
+            np.array([g for g, name in enumerate(owners) if name.startswith(robot.gripper_prefix) and solid[g]])
             for robot in robots
             if robot.end_effector is not None
         ]
         self._geoms = {body: np.flatnonzero(model.geom_bodyid == body) for body in self.bodies}
-
-    def _collides(self, geom: int) -> bool:
-        return bool(self._model.geom_contype[geom] or self._model.geom_conaffinity[geom])
 
     def find(self, qpos: NDArray[np.float64]) -> Held:
         """Return what is held in a state (nq,)."""

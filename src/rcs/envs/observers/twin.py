@@ -105,8 +105,8 @@ class Twin(Observer):
         """
         if not robots or not limit > 0:
             raise InvalidSetup(
-                f"limit is {limit} rad, and there are {len(robots)} robots; valid is a positive limit, and at least one "
-                "robot."
+                f"limit is {limit} rad, and there are {len(robots)} robots; valid are a positive limit, and at least "
+                "one robot."
             )
         self.world = TimedWorld(list(robots.values()), physics_step=PHYSICS_STEP, smoothing=smoothing)
         """The simulation."""

@@ -57,6 +57,8 @@ class Port(ABC):
     device: Arm | Gripper | Hand | None = None
     """The device that the port opens, holds and closes, where it is one behind a device interface."""
 
+    freshness: Freshness | None = None
+    """Knows when the device last measured something new, where the port looks after that."""
     follower: SimRobot | None = None
     """The body in the simulated world that is driven to where the device is measured."""
 
@@ -82,11 +84,11 @@ class Port(ABC):
 
     def capture_times(self) -> dict[str, float]:
         """Return when each sensor was last read [s, monotonic clock of the host], by its key."""
-        return {}
+        return {} if self.freshness is None else {self.timed[0]: self.freshness.time}
 
     def device_times(self) -> dict[str, float]:
         """Return the same moments on the devices' own clocks [s], by key; NaN for a device without one."""
-        return {}
+        return {} if self.freshness is None else {self.timed[0]: self.freshness.device_time}
 
     def reconnections(self) -> dict[str, int]:
         """Return how often devices were connected again since `open`, by key, where they were."""
@@ -217,7 +219,7 @@ class ArmPort(Port):
         self.device = self._arm = arm
         self._kinematics = kinematics
         self._valid_for = valid_for
-        self._freshness = Freshness(arm, stale_after)
+        self.freshness = self._freshness = Freshness(arm, stale_after)
         self._target: NDArray[np.float64] | None = None
         self.joint_space = box
         self.action_spaces = {keys.JOINTS: box} if native is None else dict(native)
@@ -289,14 +291,6 @@ class ArmPort(Port):
             }
         )
 
-    def capture_times(self) -> dict[str, float]:
-        """Return when the joints were measured."""
-        return {keys.JOINTS: self._freshness.time}
-
-    def device_times(self) -> dict[str, float]:
-        """Return the same on the arm's own clock."""
-        return {keys.JOINTS: self._freshness.device_time}
-
 
 class EffectorPort(Port):
     """Any gripper or hand behind the device interface."""
@@ -324,7 +318,7 @@ class EffectorPort(Port):
         self.action_spaces = {key: keys.normalised_space(count)}
         self.observation_spaces = {key: keys.normalised_space(count)}
         self._calls = DeviceCalls(device, valid_for=valid_for, slow_after=slow_after)
-        self._freshness = Freshness(device, stale_after)
+        self.freshness = self._freshness = Freshness(device, stale_after)
         self._kept: Arrays = {}
         self._measured = np.ones(count, np.float32)
 
@@ -344,14 +338,6 @@ class EffectorPort(Port):
         measured = [state.opening] if isinstance(state, GripperState) else state.joints
         self._measured = np.clip(np.array(measured, np.float32), 0.0, 1.0)
         return self._followed({self._key: self._measured})
-
-    def capture_times(self) -> dict[str, float]:
-        """Return when it was measured."""
-        return {self._key: self._freshness.time}
-
-    def device_times(self) -> dict[str, float]:
-        """Return the same on the device's own clock."""
-        return {self._key: self._freshness.device_time}
 
     def open(self) -> None:
         """Connect the device; it does not move."""

@@ -17,9 +17,6 @@ from rcs.sim.world import Copies, World
 FAULT_POLL = 5e-3
 """How often a clock that waits asks the devices for faults [s]."""
 
-STEP_LIMIT = 10.0
-"""Longest synchronous step [s], when nothing else is said."""
-
 ROUNDING = 1e-9
 """Shortest time to wait [s]."""
 
@@ -52,7 +49,7 @@ class Clock:
         frequency: float = 30.0,
         is_real: bool = False,
         is_synchronous: bool = False,
-        time_limit: float = STEP_LIMIT,
+        time_limit: float = 10.0,
         now: Callable[[], float] | None = None,
         sleep: Callable[[float], None] | None = None,
     ) -> None:

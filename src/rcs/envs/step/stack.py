@@ -88,8 +88,12 @@ class Stack:
     @property
     def device_timed(self) -> list[str]:
         """Keys of `device_times`."""
-        timed = [(prefix, port) for prefix, port in self._ports if type(port).device_times is not Port.device_times]
-        return [prefix + key for prefix, port in timed for key in port.timed]
+        return [
+            prefix + key
+            for prefix, port in self._ports
+            if port.freshness is not None or type(port).device_times is not Port.device_times
+            for key in port.timed
+        ]
 
     @property
     def executed(self) -> dict[str, Any]:

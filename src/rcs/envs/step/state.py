@@ -227,7 +227,6 @@ def _form(state: EnvState) -> dict[str, Any]:
         else:
             form[prefix] = rows.shape[1:]
 
-    add("episode", state.episode)
-    add("memory", state.memory)
-    add("fields", state.fields)
+    for part in ("episode", "memory", "fields"):
+        add(part, getattr(state, part))
     return form
