@@ -33,15 +33,13 @@ _ONLY = np.zeros(1, np.int32)
 PLACES = {
     "task": "env.simulation.task",
     "scenario": "env.simulation",
-    "world": "env.simulation.world",
-    "sim": "env.simulation.world",
+    **dict.fromkeys(("world", "sim"), "env.simulation.world"),
     "model": "env.simulation.world.model",
     "data": "env.simulation.world.data, or env.get_state()",
     "robot": "env.setup.robot, or env.stack for its ports and layers",
     "robots": "env.setup.robot, or env.stack for their ports and layers",
     "seed": "env.reset(seed=...)",
-    "observation": "what env.reset and env.step return",
-    "get_obs": "what env.reset and env.step return",
+    **dict.fromkeys(("observation", "get_obs"), "what env.reset and env.step return"),
     "expert": "rcs.agents.agent_for(env)",
     "num_envs": "rcs.make_vec(task, copies=...)",
 }

@@ -164,9 +164,7 @@ def make_vec(
         >>> envs = rcs.make_vec("PickCuboid", copies=24, robot="fr3")
         >>> observations, infos = envs.reset(seed=0)
     """
-    require_whole("copies", copies, 1, MOST)
-    require_whole("threads", threads, 0, MOST)
-    copies, threads = int(copies), int(threads)
+    copies, threads = require_whole("copies", copies, 1, MOST), require_whole("threads", threads, 0, MOST)
     if render_mode is not None:  # pyright: ignore[reportUnnecessaryComparison]
         raise InvalidSetup(
             f"render_mode is {render_mode!r}, and copies draw no pictures besides those of their cameras; give "

@@ -76,12 +76,13 @@ class MountedCamera:
             board: About where the board is, in the scene (camera on the gripper), or in the base body of the gripper;
                 None if nobody knows.
         """
+        of_camera, of_board = self._carriers()
         return Rig(
             kinematics=kinematics_of(self.robot.arm),
             arrangement=self.arrangement,
             intrinsics=intrinsics,
-            camera_in_mount=self._parent_in_mount * self.camera.optical_in_parent.pose,
-            board_in_anchor=None if board is None else self._carrier_in_anchor * board,
+            camera_in_mount=of_camera * self.camera.optical_in_parent.pose,
+            board_in_anchor=None if board is None else of_board * board,
         )
 
     def calibration(self, found: HandEye, intrinsics: Intrinsics) -> Calibration:
@@ -93,7 +94,7 @@ class MountedCamera:
         """
         rows = [[float(value) for value in row] for row in found.covariance]
         return Calibration(
-            optical=Mount.of(self._parent_in_mount.inverse() * found.camera_in_mount),
+            optical=Mount.of(self._carriers()[0].inverse() * found.camera_in_mount),
             intrinsics=intrinsics,
             pose_covariance=tuple(map(tuple, rows)),
         )
@@ -102,28 +103,18 @@ class MountedCamera:
         """Return where the board is, as a calibration file says it."""
         return KnownBoard(
             board=board,
-            mount=Mount.of(self._carrier_in_anchor.inverse() * found.board_in_anchor),
+            mount=Mount.of(self._carriers()[1].inverse() * found.board_in_anchor),
             on_gripper_of=None if self.arrangement == "eye-in-hand" else self.robot.name,
         )
 
-    @property
-    def _parent_in_mount(self) -> Pose:
-        """Pose of the camera's carrier in the setup, in its carrier in the rig: gripper in flange, or scene in base."""
-        return self._gripper_in_flange if self.arrangement == "eye-in-hand" else self._scene_in_base
+    def _carriers(self) -> tuple[Pose, Pose]:
+        """Return the poses of what carries camera and board in the setup, in what carries them in the rig.
 
-    @property
-    def _carrier_in_anchor(self) -> Pose:
-        """Pose of the board's carrier in the setup, in its carrier in the rig."""
-        return self._scene_in_base if self.arrangement == "eye-in-hand" else self._gripper_in_flange
-
-    @property
-    def _gripper_in_flange(self) -> Pose:
+        One is that of the gripper in the flange, the other that of the scene in the base.
+        """
         assert self.robot.end_effector is not None, "the camera or the board is on it"
-        return self.robot.end_effector.mount_in_flange.pose
-
-    @property
-    def _scene_in_base(self) -> Pose:
-        return self.robot.base_in_scene.pose.inverse()
+        gripper, scene = self.robot.end_effector.mount_in_flange.pose, self.robot.base_in_scene.pose.inverse()
+        return (gripper, scene) if self.arrangement == "eye-in-hand" else (scene, gripper)
 
 
 def _gripper_body(robot: RobotPlacement) -> str | None:

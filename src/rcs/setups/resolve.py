@@ -285,7 +285,8 @@ def cameras_of(robots: Sequence[RobotPlacement]) -> dict[str, CameraPlacement]:
     for robot in robots:
         parts = [(robot.prefix, robot.arm), (robot.gripper_prefix, robot.end_effector)]
         for prefix, part in parts:
-            for name, camera in () if part is None else _cameras_in(part, prefix):
+            for camera in () if part is None else _cameras_in(part, prefix):
+                name = camera.name
                 known = name if len(robots) == 1 else f"{robot.name}_{name}"
                 if known in found:
                     raise InvalidSetup(f"Robot {robot.name!r} has two cameras named {name!r}; rename one in its file.")
@@ -293,8 +294,8 @@ def cameras_of(robots: Sequence[RobotPlacement]) -> dict[str, CameraPlacement]:
     return found
 
 
-def _cameras_in(part: Description, prefix: str) -> Iterator[tuple[str, CameraPlacement]]:
-    """Yield the cameras in the file of a part, with a prefix before their names."""
+def _cameras_in(part: Description, prefix: str) -> Iterator[CameraPlacement]:
+    """Yield the cameras in the file of a part, whose bodies have a prefix before their names."""
     spec = load(part)
     if not spec.cameras:
         return
@@ -313,10 +314,7 @@ def _cameras_in(part: Description, prefix: str) -> Iterator[tuple[str, CameraPla
         body = model.body(int(model.cam_bodyid[i])).name if model.cam_bodyid[i] else part.base_body
         optical = Pose(model.cam_pos[i], wxyz_to_xyzw(model.cam_quat[i])) * CAMERA_IN_OPTICAL
         camera = _description(name, model, i)
-        yield (
-            name,
-            CameraPlacement(name=name, camera=camera, parent_body=prefix + body, optical_in_parent=Mount.of(optical)),
-        )
+        yield CameraPlacement(name=name, camera=camera, parent_body=prefix + body, optical_in_parent=Mount.of(optical))
 
 
 def _description(name: str, model: mujoco.MjModel, i: int) -> CameraDescription:
