@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.envs.observer import Observer, Transition
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, MissingDependency, WrongOrder
 from rcs.testing.env_contract import require_same_bits
+from tests.envs.notebook import Notebook
 
 
 def test_without_a_seed_episodes_of_the_last_seed_go_on() -> None:
@@ -198,23 +198,6 @@ def test_an_episode_is_truncated_after_its_steps_and_not_before() -> None:
     endless = rcs.make("Free", max_episode_steps=None)
     endless.reset(seed=0)
     assert not any(endless.step(endless.action_space.sample())[3] for _ in range(10))
-
-
-class Notebook(Observer):
-    def __init__(self) -> None:
-        self.seeds: list[int | None] = []
-        self.seen: list[Transition] = []
-        self.closed = 0
-
-    def on_reset(self, first: Transition, seed: int | None) -> None:
-        self.seeds.append(seed)
-        self.seen.append(first)
-
-    def on_step(self, transition: Transition) -> None:
-        self.seen.append(transition)
-
-    def close(self) -> None:
-        self.closed += 1
 
 
 def test_an_observer_sees_every_transition() -> None:

@@ -8,8 +8,8 @@ from gymnasium import spaces
 
 import rcs
 from rcs.envs.layers import DisturbActions
-from rcs.envs.observer import Observer, Transition
 from rcs.errors import InvalidSetup
+from tests.envs.notebook import Notebook
 
 OPTIONS: Any = {"task": "Free", "control": "joints", "frequency": 10.0, "layers": [DisturbActions]}
 OPEN = np.ones(1, np.float32)
@@ -57,26 +57,15 @@ def test_copies_are_disturbed_like_single_environments() -> None:
         np.testing.assert_array_equal(many[:, copy], ways(single, seed))
 
 
-class Watch(Observer):
-    def __init__(self) -> None:
-        self.rows: list[tuple[Any, Any]] = []
-
-    def on_reset(self, first: Transition, seed: int | None) -> None:
-        """Do nothing."""
-
-    def on_step(self, transition: Transition) -> None:
-        assert transition.action is not None
-        assert transition.executed is not None
-        self.rows.append((transition.action["joints"], transition.executed["joints"]))
-
-
 def test_what_is_recorded_as_the_action_is_what_the_agent_wanted() -> None:
-    env, watch = rcs.make(**OPTIONS), Watch()
-    env.add_observer(watch)
+    env, notebook = rcs.make(**OPTIONS), Notebook()
+    env.add_observer(notebook)
     env.reset(seed=0)
     for _ in range(9):
         env.step({"joints": np.full(7, 0.01), "gripper": OPEN})
-    wanted, done = (np.array(values) for values in zip(*watch.rows, strict=True))
+    steps: Any = notebook.seen[1:]
+    wanted = np.array([step.action["joints"] for step in steps])
+    done = np.array([step.executed["joints"] for step in steps])
     np.testing.assert_array_equal(wanted, 0.01)
     assert np.abs(np.diff(done, axis=0) - 0.01).max() > 0.005
 

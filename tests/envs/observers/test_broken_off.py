@@ -12,28 +12,16 @@ import pytest
 from rcs_data import Dataset, DatasetWriter, check
 
 import rcs
-from rcs.envs.observer import Observer, Transition
+from rcs.envs.observer import Transition
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.record import record_all
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import DatasetError
+from tests.envs.notebook import Notebook
 
 TRIALS = 200
 LONGEST = 2.0
 """Longest time to the fault [s]: 60 steps at 30 Hz."""
-
-
-class Notebook(Observer):
-    """Keeps what the recorder is given."""
-
-    def __init__(self) -> None:
-        self.seen: list[Transition] = []
-
-    def on_reset(self, first: Transition, seed: int | None) -> None:
-        self.seen = [first]
-
-    def on_step(self, transition: Transition) -> None:
-        self.seen.append(transition)
 
 
 def spoil(bench: Any, kind: str, which: int) -> None:

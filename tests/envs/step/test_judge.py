@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.envs.observer import Observer, Transition
 from rcs.envs.step.judge import _with_last
 from rcs.testing.env_contract import require_same_bits
+from tests.envs.notebook import Notebook
 
 KEYS = ("time", "cuboid", "edges", "is_grasped", "is_touched", "success")
 """Info about the state of the task PickCuboid."""
@@ -20,19 +20,6 @@ KEYS = ("time", "cuboid", "edges", "is_grasped", "is_touched", "success")
 @pytest.fixture(autouse=True)
 def _log(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its log there
-
-
-class Notebook(Observer):
-    """Keeps what it is shown."""
-
-    def __init__(self) -> None:
-        self.seen: list[Transition] = []
-
-    def on_reset(self, first: Transition, seed: int | None) -> None:
-        self.seen = [first]
-
-    def on_step(self, transition: Transition) -> None:
-        self.seen.append(transition)
 
 
 def of_task(info: dict[str, Any]) -> dict[str, Any]:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 import rcs
-from rcs.envs.observer import Observer, Transition
 from rcs.envs.step.observers import Observers
+from tests.envs.notebook import Notebook
 
 
 class Seen:
@@ -19,19 +19,6 @@ class Seen:
 
     def on_end(self, end: str, reasons: Any) -> None:
         self.ends.append(end)
-
-
-class Notebook(Observer):
-    """Keeps what it is shown."""
-
-    def __init__(self) -> None:
-        self.seen: list[Transition] = []
-
-    def on_reset(self, first: Transition, seed: int | None) -> None:
-        self.seen.append(first)
-
-    def on_step(self, transition: Transition) -> None:
-        self.seen.append(transition)
 
 
 def observers(copies: int) -> Any:
