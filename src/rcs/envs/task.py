@@ -118,7 +118,7 @@ class Task(ABC):
         """Options of every task; a task with more options subclasses this as its own `Options`."""
 
         hints: ClassVar[Mapping[str, str]] = {
-            "reward": "The reward is an option of the setup: reward='sparse', as `rcs.Setup` says."
+            "reward": "It is no option of a task but of the setup: reward='sparse', as `rcs.Setup` says."
         }
 
     def __init__(self, area: Area, options: Options | Mapping[str, Any] | None = None) -> None:
