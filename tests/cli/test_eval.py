@@ -114,7 +114,7 @@ def test_an_agent_is_compared_with_itself_under_another_condition(call_unwrapped
         (["PickCuboid", "--agent", "PickExpart"], ["PickExpart", "Did you mean 'PickExpert'"]),
         (["PickCuboid", "--layers", "BinaryGriper"], ["BinaryGriper"]),
         (["PickCuboid", "--task-options", "hold_time"], ["'hold_time'", "name=value"]),
-        (["PickCuboid", "--task-options", "hold_tyme=1"], ["hold_tyme", "valid: lift_height, hold_time"]),
+        (["PickCuboid", "--task-options", "hold_tyme=1"], ["hold_tyme", "Did you mean 'hold_time'"]),
         (["PickCuboid", "--task-options", "reward=sparse"], ["no option of a task but of the setup"]),
         (["PickCuboid", "--reward", "dense", "--discount", "1"], ["discount is 1"]),
         (["PickCuboid", "--videos", "-1"], ["videos is -1"]),
