@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import pkgutil
 import threading
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -45,8 +45,7 @@ def connect(address: str, **options: Any) -> Any:
         Unauthorized: The token is wrong.
         Mismatch: Robot and policy do not fit.
     """
-    module, _, name = CLIENTS[parse(address).scheme].partition(":")
-    return getattr(importlib.import_module(module), name)(address, **options)
+    return pkgutil.resolve_name(CLIENTS[parse(address).scheme])(address, **options)
 
 
 class RemotePolicy(Policy):

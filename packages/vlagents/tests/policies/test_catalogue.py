@@ -63,7 +63,7 @@ def test_a_family_of_lerobots_is_checked_by_its_name(monkeypatch: pytest.MonkeyP
             super().__init__()
             self.made = (checkpoint, family)
 
-    monkeypatch.setattr(catalogue, "_found", lambda place: Named)
+    monkeypatch.setattr(catalogue, "find", lambda what, place: Named)
     made = catalogue.load(name, "runs/a")
     assert isinstance(made, Named)
     assert made.made == ("runs/a", family)

@@ -123,5 +123,5 @@ def test_sessions_remember_apart_and_forget() -> None:
 
 def test_policies_without_settings_refuse_them(tmp_path: Path) -> None:
     (tmp_path / "settings.json").write_text("{}")
-    with pytest.raises(InvalidInput, match="has no settings"):
+    with pytest.raises(InvalidInput, match="has no option --settings"):
         catalogue.load("random", "7", tmp_path / "settings.json")

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from vlagents import ImageSpec, Observation, PartSpec
-from vlagents.simulators.interface import Facts, Moment, Simulator, unknown
+from vlagents.lookup import unknown
+from vlagents.simulators.interface import Facts, Moment, Simulator
 from vlagents.simulators.mapping import ImageMap, PartMap, SimulatorMapping
 
 TASKS = ("near", "far")

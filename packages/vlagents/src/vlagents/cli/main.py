@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import logging
 import os
+import pkgutil
 import signal
 import sys
 import threading
@@ -151,8 +151,7 @@ def _simulate(given: Any) -> int:
 
 
 def _serve_at(policy: Policy, given: Any) -> int:
-    module, _, name = SERVERS[given.wire].partition(":")
-    server = getattr(importlib.import_module(module), name)(
+    server = pkgutil.resolve_name(SERVERS[given.wire])(
         policy, host=given.host, port=given.port, token=_token(given), certificate=given.certificate, key=given.key
     )
     stop = threading.Event()

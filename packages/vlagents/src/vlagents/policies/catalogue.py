@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
-import importlib
-import inspect
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 from vlagents.errors import InvalidInput
+from vlagents.lookup import find, prepared, unknown
 from vlagents.policies.settings import Settings
 from vlagents.policy import Policy
 
@@ -63,16 +61,20 @@ def load(
     if ":" in name:
         if os.getcwd() not in sys.path:
             sys.path.insert(0, os.getcwd())
-        make = _found(name)
+        make = find("policy", name)
     elif name in BUILT_IN:
-        make = _found(BUILT_IN[name])
+        make = find("policy", BUILT_IN[name])
         options |= {"family": name} if name in FAMILIES else {}
     else:
         points = {point.name: point for point in entry_points(group=GROUP)}
         if name not in points:
-            raise InvalidInput(f"There is no policy {name!r}; there are {_near(name, names())}")
+            raise unknown("policy", name, names())
         make = points[name].load()
-    return _made(name, make, [checkpoint] if checkpoint else [], settings, options)
+    more: dict[str, Any] = {"settings": Settings.read(checkpoint, settings)} if settings else {}
+    made = prepared("policy", name, make, [checkpoint] if checkpoint else [], options, **more)()
+    if not isinstance(made, Policy):
+        raise InvalidInput(f"{name!r} made {type(made).__name__}; valid is a vlagents.Policy.")
+    return made
 
 
 def hash_of(path: str | Path, settings: Settings | None = None, code: Path | None = None) -> str:
@@ -121,50 +123,5 @@ def recipe(family: str) -> str:
     """
     family = "lerobot" if family in FAMILIES else family
     if family not in recipes():
-        raise InvalidInput(f"There is no recipe {family!r}; there are {_near(family, sorted([*recipes(), *FAMILIES]))}")
+        raise unknown("recipe", family, sorted([*recipes(), *FAMILIES]))
     return (Path(__file__).parent / f"{family}{ENDING}").read_text(encoding="utf-8")
-
-
-def _found(place: str) -> Callable[..., Policy]:
-    """Return the class or function of `module:name`."""
-    module, _, name = place.partition(":")
-    try:
-        return getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InvalidInput(f"There is no policy {place!r}; valid is module:Class. {error}.") from error
-
-
-def _made(
-    name: str, make: Callable[..., Policy], checkpoint: list[str], settings: str | Path, options: Mapping[str, str]
-) -> Policy:
-    known = inspect.signature(make).parameters
-    if settings and "settings" not in known:
-        raise InvalidInput(f"The policy {name!r} has no settings; {str(settings)!r} cannot be used.")
-    if unknown := [option for option in options if option not in known]:
-        valid = ", ".join(f"--{option}" for option in known if option != "settings") or "none"
-        raise InvalidInput(f"The policy {name!r} has no option --{unknown[0]}; valid: {valid}.")
-    given: dict[str, Any] = {option: _value(text, known[option].annotation) for option, text in options.items()}
-    if settings:
-        given["settings"] = Settings.read(checkpoint[0] if checkpoint else "", settings)
-    try:
-        inspect.signature(make).bind(*checkpoint, **given)
-    except TypeError as error:
-        raise InvalidInput(f"The policy {name!r} cannot be made: {error}.") from error
-    made = make(*checkpoint, **given)
-    if not isinstance(made, Policy):
-        raise InvalidInput(f"{name!r} made {type(made).__name__}; valid is a vlagents.Policy.")
-    return made
-
-
-def _value(text: str, annotation: object) -> Any:
-    if annotation in (str, "str"):
-        return text
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
-
-
-def _near(name: str, valid: list[str]) -> str:
-    near = difflib.get_close_matches(name, valid, 1)
-    return f"{', '.join(valid)}." + (f" Did you mean {near[0]!r}?" if near else "")

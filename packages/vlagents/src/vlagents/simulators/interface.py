@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,10 +86,3 @@ class Simulator(ABC):
 
     def close(self) -> None:  # noqa: B027  a simulator may hold nothing
         """Release everything. A second call does nothing."""
-
-
-def unknown(what: str, name: str, known: Sequence[str]) -> InvalidInput:
-    """Return the error about an unknown name, which lists the known ones."""
-    near = difflib.get_close_matches(name, known, 1)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
-    return InvalidInput(f"There is no {what} {name!r}; there are {', '.join(known) or 'none'}.{hint}")

@@ -22,9 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.errors import InvalidInput
+from vlagents.lookup import unknown
 from vlagents.metadata import ImageSpec, PartSpec
 from vlagents.observation import Observation
-from vlagents.simulators.interface import Facts, Moment, Simulator, unknown
+from vlagents.simulators.interface import Facts, Moment, Simulator
 from vlagents.simulators.mapping import ImageMap, PartMap, SimulatorMapping
 
 CAMERAS = {"agentview_image": "agentview", "robot0_eye_in_hand_image": "wrist"}

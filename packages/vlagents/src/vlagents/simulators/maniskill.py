@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.errors import InvalidInput
+from vlagents.lookup import unknown
 from vlagents.metadata import ImageSpec, PartSpec
 from vlagents.observation import Observation
-from vlagents.simulators.interface import Facts, Moment, Simulator, unknown
+from vlagents.simulators.interface import Facts, Moment, Simulator
 from vlagents.simulators.mapping import ImageMap, PartMap, SimulatorMapping
 
 DRIVER = "vulkan/lvp_icd.json"

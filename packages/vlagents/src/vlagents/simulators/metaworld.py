@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vlagents.lookup import unknown
 from vlagents.metadata import ImageSpec, PartSpec
 from vlagents.observation import Observation
-from vlagents.simulators.interface import Facts, Moment, Simulator, unknown
+from vlagents.simulators.interface import Facts, Moment, Simulator
 from vlagents.simulators.mapping import Flip, ImageMap, PartMap, SimulatorMapping
 
 STEPS = 500

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
-import inspect
-import json
 import sys
 import uuid
 from collections.abc import Callable, Mapping
@@ -18,10 +15,11 @@ import numpy as np
 
 from vlagents.chunk import Chunk
 from vlagents.errors import InvalidInput, MissingSimulator, SimulatorTaken
+from vlagents.lookup import find, prepared, unknown
 from vlagents.metadata import Metadata
 from vlagents.observation import Observation
 from vlagents.policy import Policy
-from vlagents.simulators.interface import Moment, Simulator, unknown
+from vlagents.simulators.interface import Moment, Simulator
 from vlagents.simulators.mapping import SimulatorMapping
 from vlagents.wire.calls import observation_to_values
 
@@ -122,26 +120,19 @@ def load(name: str, options: Mapping[str, str] | None = None) -> ServedSimulator
 
     Args:
         name: `simulator:task`, such as `libero:libero_spatial/0`, or `module:Class:task` for one of your own.
-        options: More arguments by name, as text: that of a number is a number.
+        options: More arguments by name, as JSON, or as text where they are no JSON or are annotated `str`.
 
     Raises:
         InvalidInput: There is no such simulator, task or option; the message lists those that there are.
         MissingSimulator: It is not installed in this Python.
     """
     head, _, task = name.rpartition(":")
-    module, _, found = BUILT_IN.get(head, head if ":" in head else "").partition(":")
-    if not module or not task:
+    place = BUILT_IN.get(head, head)
+    if ":" not in place or not task:
         raise unknown("simulator", name, [f"{known}:TASK" for known in BUILT_IN])
+    make = find("simulator", place, "module:Class:task")
     try:
-        make = getattr(importlib.import_module(module), found)
-    except (ImportError, AttributeError) as error:
-        raise InvalidInput(f"There is no simulator {name!r}; valid is module:Class:task. {error}.") from error
-    known = list(inspect.signature(make).parameters)[1:]
-    given = dict(options or {})
-    if wrong := [option for option in given if option not in known]:
-        raise unknown("option", f"--{wrong[0]}", [f"--{option}" for option in known])
-    try:
-        return ServedSimulator(lambda: make(task, **{option: _value(text) for option, text in given.items()}))
+        return ServedSimulator(prepared("simulator", head, make, [task], options or {}))
     except ModuleNotFoundError as error:
         raise MissingSimulator(head, str(error.name)) from error
 
@@ -155,10 +146,3 @@ def _sources(simulator: Simulator) -> str:
     for path in (Path(own), *sorted(Path(__file__).parent.glob("*.py"))):
         digest.update(f"{path.name}\n".encode() + path.read_bytes())
     return digest.hexdigest()[:16]
-
-
-def _value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
