@@ -19,7 +19,7 @@ from msgspec import msgpack
 from vlagents import BadMessage, Client, ConnectionLost, DeadlineExceeded, Observation, Server, VlagentsError
 from vlagents.policies.random import RandomPolicy
 from vlagents.websocket import WebsocketClient, WebsocketServer
-from vlagents.wire.link import Deadline
+from vlagents.wire.link import Deadline, Link
 from vlagents.wire.stream import PREFIX, StreamChannel
 from vlagents.wire_server import Guest
 
@@ -260,7 +260,7 @@ def test_a_client_that_sends_garbage_is_cut_off_and_others_are_served(
 
 
 def test_calls_before_hello_are_refused(server: Server) -> None:
-    channel = StreamChannel(socket.create_connection((server.address.host, server.address.port)))
+    channel = StreamChannel(Link(socket.create_connection((server.address.host, server.address.port))))
     soon = Deadline(5.0, "an answer")
     channel.send({"call": "ping", "id": 1}, soon)
     assert channel.receive(soon)["error"]["kind"] == "unauthorized"
@@ -282,7 +282,7 @@ def test_a_half_sent_message_ends_the_connection_and_nothing_else(observation: O
 def test_a_client_that_does_not_read_ends_its_connection_and_nothing_else(observation: Observation) -> None:
     policy = RandomPolicy(size=8, horizon=20_000)
     with Server(policy, port=0, transfer=0.5) as server, Client(str(server.address)) as stays:
-        channel = StreamChannel(socket.create_connection((server.address.host, server.address.port)))
+        channel = StreamChannel(Link(socket.create_connection((server.address.host, server.address.port))))
         soon = Deadline(20.0, "an answer")
         channel.send({"call": "hello", "id": 0, "version": 1}, soon)
         channel.receive(soon)

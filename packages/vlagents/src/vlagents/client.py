@@ -23,9 +23,9 @@ from vlagents.metadata import Metadata
 from vlagents.observation import Observation
 from vlagents.remote import RemotePolicy
 from vlagents.wire.calls import VERSION, chunk_from_values, observation_to_values
-from vlagents.wire.link import Deadline, dial
-from vlagents.wire.shared import SLOTS, SharedChannel, is_supported, name_beside, peer_user
-from vlagents.wire.stream import LARGEST_BODY, StreamChannel
+from vlagents.wire.link import Deadline, Link, dial
+from vlagents.wire.shared import SLOTS, SharedChannel, UnixLink, is_supported, name_beside, peer_user
+from vlagents.wire.stream import StreamChannel
 
 
 class Client(RemotePolicy):
@@ -170,7 +170,7 @@ class Client(RemotePolicy):
                 return self._open_shared()
         if self._is_shared:
             raise ConnectionLost(f"There is no shared memory to {address}: no server on this machine offers it there.")
-        return StreamChannel(dial(address, self.timeout, self._certificate), largest_body=LARGEST_BODY)
+        return StreamChannel(Link(dial(address, self.timeout, self._certificate)))
 
     def _open_shared(self) -> StreamChannel:
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -182,4 +182,4 @@ class Client(RemotePolicy):
         except OSError:
             connection.close()
             raise
-        return SharedChannel(connection, largest_body=LARGEST_BODY)
+        return SharedChannel(UnixLink(connection))

@@ -10,8 +10,8 @@ import socket
 from vlagents.address import is_loopback
 from vlagents.errors import BadMessage, Unauthorized, VlagentsError
 from vlagents.wire.calls import failure
-from vlagents.wire.link import Deadline
-from vlagents.wire.shared import SharedChannel, is_supported, name_beside, peer_user
+from vlagents.wire.link import Deadline, Link
+from vlagents.wire.shared import SharedChannel, UnixLink, is_supported, name_beside, peer_user
 from vlagents.wire.stream import StreamChannel
 from vlagents.wire_server import BEGIN, STRANGER, Guest, WireServer
 
@@ -43,12 +43,12 @@ class Server(WireServer):
                 _log.warning("There is no shared memory for clients on this machine: %s", error)
 
     def _open(self, guest: Guest) -> StreamChannel:
-        return StreamChannel(guest.connection, largest_body=STRANGER)
+        return StreamChannel(Link(guest.connection), largest=STRANGER)
 
     def _open_beside(self, guest: Guest) -> SharedChannel:
         if peer_user(guest.connection) != os.getuid():
             raise Unauthorized("another user is at the socket")
-        return SharedChannel(guest.connection, largest_body=STRANGER)
+        return SharedChannel(UnixLink(guest.connection), largest=STRANGER)
 
     def _answer_one(self, guest: Guest, channel: StreamChannel) -> None:
         begin = None if guest.is_known else BEGIN
@@ -59,5 +59,5 @@ class Server(WireServer):
             with contextlib.suppress(VlagentsError):
                 channel.send(failure(values.get("id"), error), self._rest())
             raise
-        channel.largest_body = self._largest if guest.is_known else STRANGER
+        channel.largest = self._largest if guest.is_known else STRANGER
         channel.send(answer, self._rest())

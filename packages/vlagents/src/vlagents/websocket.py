@@ -34,7 +34,6 @@ from vlagents.wire.frames import FrameChannel
 from vlagents.wire.handshake import accept, ask
 from vlagents.wire.link import Deadline, Link, dial
 from vlagents.wire.openpi import ACTIONS, OWN, observation_from_flat, observation_to_flat, pack_parts, unpack
-from vlagents.wire.stream import LARGEST_BODY
 from vlagents.wire_server import BEGIN, Guest, WireServer
 
 _log = logging.getLogger(__name__)
@@ -129,7 +128,7 @@ class WebsocketClient(RemotePolicy):
         deadline = Deadline(self.timeout, f"The greeting of {self.address}")
         headers = {} if self._token is None else {"Authorization": f"Api-Key {self._token}"}
         link = Link(dial(self.address, self.timeout, self._certificate))
-        channel = FrameChannel(link, is_client=True, largest=LARGEST_BODY)
+        channel = FrameChannel(link, is_client=True)
         with channel.guarded():
             ask(link, str(self.address), headers, deadline)
             greeting = self._read(channel.receive(deadline))

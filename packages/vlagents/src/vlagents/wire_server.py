@@ -20,8 +20,7 @@ from vlagents.address import PORTS, Address, Scheme, is_loopback
 from vlagents.errors import AddressTaken, ConnectionLost, InvalidInput, VlagentsError
 from vlagents.policy import Policy
 from vlagents.service import LEAVING, Caller, Service
-from vlagents.wire.link import Channel, Deadline
-from vlagents.wire.stream import LARGEST_BODY
+from vlagents.wire.link import LARGEST_BODY, Channel, Deadline
 
 _log = logging.getLogger(__name__)
 S = TypeVar("S", bound="WireServer")

@@ -14,7 +14,7 @@ import pytest
 from vlagents import BadMessage, Client, ConnectionLost, Observation, Server
 from vlagents.policies.random import RandomPolicy
 from vlagents.wire.link import Deadline
-from vlagents.wire.shared import HEAD, MAGIC, PLACE, SharedChannel, is_supported, name_beside
+from vlagents.wire.shared import HEAD, MAGIC, PLACE, SharedChannel, UnixLink, is_supported, name_beside
 from vlagents.wire.stream import PREFIX
 
 pytestmark = pytest.mark.skipif(not is_supported(), reason="needs memory without a name, which this system has not")
@@ -32,7 +32,7 @@ def named_memory() -> set[str]:
 @pytest.fixture
 def channels() -> Iterator[tuple[SharedChannel, SharedChannel]]:
     a, b = socket.socketpair(socket.AF_UNIX)
-    left, right = SharedChannel(a), SharedChannel(b)
+    left, right = SharedChannel(UnixLink(a)), SharedChannel(UnixLink(b))
     yield left, right
     left.close()
     right.close()

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
-from vlagents.wire.link import Channel, Deadline, Link
-from vlagents.wire.stream import KEPT, LARGEST_BODY
+from vlagents.wire.link import LARGEST_BODY, Channel, Deadline, Link
+from vlagents.wire.stream import KEPT
 
 GO_ON, TEXT, BINARY, CLOSE, PING, PONG = 0, 1, 2, 8, 9, 10
 LAST, MASKED = 0x80, 0x80
@@ -44,8 +44,8 @@ class FrameChannel(Channel):
             is_client: Whether this is the client's side, which masks its messages.
             largest: Most bytes of a received message.
         """
-        super().__init__(link)
-        self._is_client, self.largest = is_client, largest
+        super().__init__(link, largest=largest)
+        self._is_client = is_client
         self._reading, self._writing = threading.Lock(), threading.Lock()
         self._body = np.empty(0, np.uint8)
         self._scratch = np.empty(PIECE if is_client else 0, np.uint8)

@@ -25,6 +25,8 @@ MOST_PARTS = 512
 """Most buffers in one call of the system."""
 STRIDE = 8 << 20
 """Most bytes of one call of the system while a message is read."""
+LARGEST_BODY = 256 << 20
+"""Most bytes of a message's arrays, by default: forty full HD pictures."""
 
 
 class Deadline:
@@ -224,9 +226,15 @@ class Link:
 class Channel(ABC):
     """Messages over a link. After any error but an `InvalidInput` of a message to send it is closed, as out of step."""
 
-    def __init__(self, link: Link) -> None:
-        """Take over a link; it is closed with the channel."""
+    def __init__(self, link: Link, *, largest: int = LARGEST_BODY) -> None:
+        """Take over a link.
+
+        Args:
+            link: It is closed with the channel.
+            largest: Most bytes of a received message.
+        """
         self._link = link
+        self.largest = largest
 
     def receive(self, deadline: Deadline, begun: Deadline | None = None) -> Any:
         """Return the next message, in memory of its own.

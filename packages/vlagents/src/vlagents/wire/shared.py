@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from vlagents.address import Address
 from vlagents.errors import BadMessage
-from vlagents.wire.link import Deadline, Link
+from vlagents.wire.link import LARGEST_BODY, Deadline, Link
 from vlagents.wire.message import pack, unpack
-from vlagents.wire.stream import LARGEST_BODY, PREFIX, StreamChannel
+from vlagents.wire.stream import PREFIX, StreamChannel
 
 MAGIC = b"VLAS"
 PLACE = struct.Struct("<QQQ")
@@ -88,9 +88,10 @@ class SharedChannel(StreamChannel):
     pictures of some megabytes, that takes half as long as two slots in turn.
     """
 
-    def __init__(self, connection: socket.socket, *, largest_body: int = LARGEST_BODY) -> None:
-        """Take over a connected Unix socket."""
-        super().__init__(connection, largest_body=largest_body)
+    def __init__(self, link: UnixLink, *, largest: int = LARGEST_BODY) -> None:
+        """Take over a link, as `Channel` does."""
+        super().__init__(link, largest=largest)
+        self._unix = link
         self._own: NDArray[np.uint8] | None = None
         self._own_file = -1
         self._slot_size = 0
@@ -139,10 +140,6 @@ class SharedChannel(StreamChannel):
         else:
             self._unix.send([frame], deadline)
 
-    def _linked(self, connection: socket.socket) -> Link:
-        self._unix = UnixLink(connection)
-        return self._unix
-
     def _make(self, least: int) -> None:
         """Make new memory; the other side keeps the old one for as long as it reads it."""
         size = max(1 << 20, 1 << (least - 1).bit_length())
@@ -190,8 +187,8 @@ class SharedChannel(StreamChannel):
         Raises:
             BadMessage: It is not, or larger than allowed.
         """
-        if not HEAD < slot_size <= 2 * max(self.largest_body + HEAD, 1 << 20):
-            raise BadMessage(f"A slot of {slot_size} bytes is too large; valid are up to twice {self.largest_body}.")
+        if not HEAD < slot_size <= 2 * max(self.largest + HEAD, 1 << 20):
+            raise BadMessage(f"A slot of {slot_size} bytes is too large; valid are up to twice {self.largest}.")
         try:
             is_sealed = bool(fcntl.fcntl(file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK)  # type: ignore[attr-defined]
         except OSError:

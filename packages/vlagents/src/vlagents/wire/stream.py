@@ -6,7 +6,6 @@ Lengths are compared with what is allowed before anything is allocated.
 
 from __future__ import annotations
 
-import socket
 import struct
 import sys
 from typing import Any
@@ -15,31 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.errors import BadMessage
-from vlagents.wire.link import AHEAD, Channel, Deadline, Link
+from vlagents.wire.link import AHEAD, LARGEST_BODY, Channel, Deadline, Link
 from vlagents.wire.message import pack, unpack
 
 MAGIC = b"VLA1"
 PREFIX = struct.Struct("<4sIQ")
 LARGEST_HEADER = 256 << 10
 """Most bytes of a header, and on other wires of what is no large array."""
-LARGEST_BODY = 256 << 20
-"""Most bytes of a body, by default: forty full HD pictures."""
 KEPT = 64 << 20
 """Memory of a body of up to this many bytes is used again: new memory costs more time than reading into it."""
 
 
 class StreamChannel(Channel):
-    """Messages over a connected socket."""
+    """Messages over a connected socket; the largest one is that of its arrays."""
 
-    def __init__(self, connection: socket.socket, *, largest_body: int = LARGEST_BODY) -> None:
-        """Take over a socket.
-
-        Args:
-            connection: It is closed with the channel.
-            largest_body: Most bytes of arrays in a received message.
-        """
-        super().__init__(self._linked(connection))
-        self.largest_body = largest_body
+    def __init__(self, link: Link, *, largest: int = LARGEST_BODY) -> None:
+        """Take over a link, as `Channel` does."""
+        super().__init__(link, largest=largest)
         self._body = np.empty(0, np.uint8)
 
     def send(self, values: Any, deadline: Deadline) -> None:
@@ -61,9 +52,6 @@ class StreamChannel(Channel):
 
     def settled(self) -> None:
         """Say that every message which was sent has been read: there is an answer to each."""
-
-    def _linked(self, connection: socket.socket) -> Link:
-        return Link(connection)
 
     def _send_inline(self, header: bytes, parts: list[memoryview], size: int, deadline: Deadline) -> None:
         prefix = PREFIX.pack(MAGIC, len(header), size)
@@ -100,11 +88,11 @@ class StreamChannel(Channel):
         return self._body[:size]
 
     def _check_sizes(self, header_size: int, size: int) -> None:
-        largest_header = min(LARGEST_HEADER, self.largest_body)
-        if header_size > largest_header or size > self.largest_body:
+        largest_header = min(LARGEST_HEADER, self.largest)
+        if header_size > largest_header or size > self.largest:
             raise BadMessage(
                 f"A message of {header_size} and {size} bytes is too large; valid are up to {largest_header} and "
-                f"{self.largest_body}."
+                f"{self.largest}."
             )
 
     def _header(self, size: int, rest: Deadline) -> bytes | bytearray:

@@ -13,8 +13,7 @@ import struct
 import numpy as np
 
 from vlagents.errors import BadMessage
-from vlagents.wire.link import Channel, Deadline, Link
-from vlagents.wire.stream import LARGEST_BODY
+from vlagents.wire.link import LARGEST_BODY, Channel, Deadline, Link
 
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
 """Signature, version 3.0, no encryption, and filling: 64 bytes."""
@@ -35,8 +34,8 @@ class ZmtpChannel(Channel):
             is_client: Whether this side sends requests.
             largest: Most bytes of a received message.
         """
-        super().__init__(link)
-        self._is_client, self.largest = is_client, largest
+        super().__init__(link, largest=largest)
+        self._is_client = is_client
 
     def greet(self, deadline: Deadline) -> None:
         """Exchange greetings, before all else.
