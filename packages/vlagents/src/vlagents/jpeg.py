@@ -1,4 +1,4 @@
-"""A picture that stays compressed on its way."""
+"""A picture that stays compressed on its way, and the decoding of compressed pictures."""
 
 from __future__ import annotations
 
@@ -36,16 +36,30 @@ class Jpeg:
         Raises:
             InvalidInput: It is damaged, or larger than 64 million pixels, or Pillow is not installed.
         """
-        try:
-            pillow = importlib.import_module("PIL.Image")
-        except ImportError:
-            raise InvalidInput("Pillow, which decodes a Jpeg, is not installed; `pip install pillow`.") from None
-        try:
-            picture = pillow.open(io.BytesIO(self.data), formats=("JPEG",))
-            size = f"{picture.height} x {picture.width} pixels"
-            array = None if picture.height * picture.width > LARGEST else np.asarray(picture.convert("RGB"))
-        except Exception as error:
-            raise InvalidInput(f"A Jpeg of {len(self.data)} bytes cannot be decoded: {error}.") from error
-        if array is None:
-            raise InvalidInput(f"A Jpeg has {size}; valid are up to {LARGEST}.")
-        return array
+        return decoded(self.data, "JPEG")
+
+
+def decoded(data: bytes | memoryview, *formats: str) -> NDArray[np.uint8]:
+    """Return the picture of a file as RGB, uint8, (height, width, 3); its size is checked before it is decompressed.
+
+    Args:
+        data: The bytes of the file.
+        formats: Pillow's names of the formats that it may have.
+
+    Raises:
+        InvalidInput: It is damaged, or larger than 64 million pixels, or Pillow is not installed.
+    """
+    try:
+        pillow = importlib.import_module("PIL.Image")
+    except ImportError:
+        raise InvalidInput("Pillow, which decodes pictures, is not installed; `pip install pillow`.") from None
+    kind = " or ".join(formats)
+    try:
+        picture = pillow.open(io.BytesIO(data), formats=formats)
+        size = f"{picture.height} x {picture.width} pixels"
+        array = None if picture.height * picture.width > LARGEST else np.asarray(picture.convert("RGB"))
+    except Exception as error:
+        raise InvalidInput(f"A {kind} of {len(data)} bytes cannot be decoded: {error}.") from error
+    if array is None:
+        raise InvalidInput(f"A {kind} has {size}; valid are up to {LARGEST}.")
+    return array

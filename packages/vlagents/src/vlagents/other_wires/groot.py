@@ -44,7 +44,7 @@ def pack(values: Any) -> bytes:
     Raises:
         InvalidInput: A value does not travel.
     """
-    return encode(values, _array_to_map, lambda number: number.item())
+    return encode(values, _array_to_map)
 
 
 def unpack(data: bytes | memoryview, *, most: int = LARGEST_HEADER) -> Any:

@@ -222,4 +222,4 @@ def _from_map(found: dict[str, Any]) -> Any:
         data = base64.b64decode(found["__numpy__"], validate=True)
     except (binascii.Error, TypeError, ValueError) as error:
         raise BadMessage(f"An array is no base64: {error}.") from error
-    return array_of(bytearray(data), found.get("dtype"), found.get("shape"))
+    return array_of(data, found.get("dtype"), found.get("shape"))

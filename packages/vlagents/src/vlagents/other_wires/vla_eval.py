@@ -9,10 +9,7 @@ number, or by `error`. An array is `{"__ndarray__", "data", "dtype", "shape"}`, 
 
 from __future__ import annotations
 
-import importlib
-import io
 import logging
-import math
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -23,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.errors import BadMessage, InvalidInput, Unauthorized, VlagentsError
-from vlagents.jpeg import LARGEST
+from vlagents.jpeg import decoded
 from vlagents.observation import Observation
 from vlagents.wire import bulk
 from vlagents.wire.frames import FrameChannel
@@ -82,7 +79,7 @@ class VlaEvalServer(WireServer):
             found = "error", {"error": f"{type(error).__name__}: {error}"}
         if found is not None:
             answer = {"type": found[0], "payload": found[1], "seq": number, "timestamp": time.time()}
-            channel.send([encode(answer, _array_to_map, lambda scalar: scalar.item())], self._rest())
+            channel.send([encode(answer, _array_to_map)], self._rest())
 
     def _answer(self, guest: Guest, kind: object, payload: Mapping[str, Any]) -> tuple[str, dict[str, Any]] | None:
         metadata, rows = self.service.metadata, self._rows[guest]
@@ -130,33 +127,14 @@ def _array_to_map(array: NDArray[Any]) -> dict[str, Any]:
 
 
 def _from_map(found: dict[Any, Any]) -> Any:
-    if "__image__" in found and found.get("format") != "raw":
-        return _picture(found.get("data"))
     if "__ndarray__" not in found and "__image__" not in found:
         return found
     data = found.get("data")
-    if not isinstance(data, (bytes, memoryview)):
-        raise BadMessage("An array has no bytes.")
-    return array_of(data, found.get("dtype"), found.get("shape")).copy()
-
-
-def _picture(data: object) -> NDArray[np.uint8]:
-    """Return the image of a PNG or a JPEG, whose size is checked before it is decompressed.
-
-    Raises:
-        BadMessage: It is none, is too large, or Pillow is not installed.
-    """
+    if "__image__" not in found or found.get("format") == "raw":
+        return array_of(data, found.get("dtype"), found.get("shape"))
     if not isinstance(data, (bytes, memoryview)):
         raise BadMessage("An image has no bytes.")
     try:
-        pillow = importlib.import_module("PIL.Image")
-    except ImportError:
-        raise BadMessage("Pillow, which decodes images, is not installed; `pip install pillow`.") from None
-    try:
-        picture = pillow.open(io.BytesIO(data), formats=("PNG", "JPEG"))
-        array = None if math.prod(picture.size) > LARGEST else np.array(picture.convert("RGB"))
-    except Exception as error:
-        raise BadMessage(f"An image of {len(data)} bytes cannot be decoded: {error}.") from error
-    if array is None:
-        raise BadMessage(f"An image has {picture.width} x {picture.height} pixels; valid are up to {LARGEST}.")
-    return array
+        return np.array(decoded(data, "PNG", "JPEG"))
+    except InvalidInput as error:
+        raise BadMessage(str(error)) from error

@@ -53,17 +53,21 @@ def pack(values: dict[str, Any]) -> tuple[bytes, list[memoryview], int]:
         end = start + array.nbytes
         return msgpack.Ext(ARRAY, msgpack.encode([array.dtype.str, array.shape, start]))
 
-    header = encode(values, extension, lambda number: number.item())
+    header = encode(values, extension)
     return header, parts, end
 
 
-def encode(values: Any, of_array: Callable[[NDArray[Any]], Any], of_number: Callable[[np.generic], Any]) -> bytes:
+def encode(
+    values: Any,
+    of_array: Callable[[NDArray[Any]], Any],
+    of_number: Callable[[np.generic], Any] = lambda number: number.item(),
+) -> bytes:
     """Return values as msgpack.
 
     Args:
         values: Plain values and NumPy arrays and numbers.
         of_array: Returns the plain values that stand for an array.
-        of_number: Returns the plain values that stand for a number of NumPy.
+        of_number: Returns the plain values that stand for a number of NumPy; by default the number.
 
     Raises:
         InvalidInput: A value does not travel.
@@ -137,21 +141,24 @@ def bytes_of(dtype: object, shape: object) -> int:
     return math.prod(shape) * np.dtype(dtype).itemsize
 
 
-def array_of(data: Any, dtype: object, shape: object) -> NDArray[Any]:
-    """Return the array that lies in a buffer, without a copy.
+def array_of(data: object, dtype: object, shape: object) -> NDArray[Any]:
+    """Return the array that lies in a buffer: a copy of bytes, so that it can be written, and a view of others.
 
     Raises:
-        BadMessage: Such an array does not travel, or the buffer has another length.
+        BadMessage: Such an array does not travel, or this is no buffer, or one of another length.
     """
+    if not isinstance(data, (bytes, memoryview, np.ndarray)):
+        raise BadMessage(f"An array has {type(data).__name__} as data; valid are bytes.")
     length = bytes_of(dtype, shape)
     if len(data) != length:
         raise BadMessage(f"An array of shape {shape} has {len(data)} bytes of {dtype}; valid are {length}.")
     axes: Any = shape
     kind = np.dtype(str(dtype))
     try:
-        return np.frombuffer(data, kind).reshape(axes) if length else np.zeros([min(n, 1 << 31) for n in axes], kind)
+        array = np.frombuffer(data, kind).reshape(axes) if length else np.zeros([min(n, 1 << 31) for n in axes], kind)
     except ValueError as error:
         raise BadMessage(f"An array has the shape {shape}: {error}.") from error
+    return array.copy() if isinstance(data, bytes) else array
 
 
 def _is_whole(value: object) -> bool:

@@ -128,11 +128,7 @@ def _number_to_map(number: np.generic) -> Any:
 
 def _from_map(found: dict[Any, Any]) -> Any:
     if b"__ndarray__" in found:
-        data = found.get(b"data")
-        if not isinstance(data, (bytes, memoryview)):
-            raise BadMessage(f"An array has {type(data).__name__} as data; valid are bytes.")
-        array = array_of(data, found.get(b"dtype"), found.get(b"shape"))
-        return array.copy() if isinstance(data, bytes) else array
+        return array_of(found.get(b"data"), found.get(b"dtype"), found.get(b"shape"))
     if b"__npgeneric__" in found:
         dtype, value = found.get(b"dtype"), found.get(b"data")
         if not isinstance(dtype, str) or dtype not in DTYPES or not isinstance(value, (int, float)):
