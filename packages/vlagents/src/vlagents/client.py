@@ -63,22 +63,15 @@ class Client(RemotePolicy):
         """True if arrays go through shared memory."""
         return isinstance(self._channel, SharedChannel)
 
-    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Begin an episode; connect again if the server was gone."""
-        super().reset(session, instruction, seed=seed)
-        self.call("reset", session=session, instruction=instruction, seed=seed)
-
-    def forget(self, session: str) -> None:
-        """Have the server forget a session."""
-        super().forget(session)
-        self.call("forget", session=session)
-
     def ping(self) -> dict[str, Any]:
         """Return the server's health: its policy, its version, its running time, its number of answers."""
         health = self.call("ping").get("health")
         if not isinstance(health, dict):
             raise BadMessage("The answer to ping has no health.")
         return health
+
+    def _tell(self, call: str, **given: Any) -> None:
+        self.call(call, **given)
 
     def _infer(self, observation: Observation) -> Chunk:
         return chunk_from_values(self.call("infer", observation=observation_to_values(observation)).get("chunk"))
@@ -131,13 +124,13 @@ class Client(RemotePolicy):
         except VlagentsError:
             self._lose(channel)
             raise
-        if not (answer.get("id") is None or isinstance(answer.get("id"), int)):
+        number = answer.get("id")
+        if not isinstance(number, int):
             self._lose(channel)
+            if number is None:  # the server could not read the call
+                raise from_failure(answer.get("error"))
             raise BadMessage(f"{self.address} sent something that is no answer.")
-        if answer.get("id") is None:
-            self._lose(channel)
-            raise from_failure(answer.get("error"))
-        self._late.discard(answer["id"])
+        self._late.discard(number)
         return answer
 
     def _connect(self) -> None:

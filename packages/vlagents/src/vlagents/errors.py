@@ -61,11 +61,10 @@ class PolicyFailed(VlagentsError):
 class AddressTaken(VlagentsError, OSError):
     """The address of a server is in use."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, address: object) -> None:
         """Name the address, and what to do."""
-        shown = f"[{host}]" if ":" in host else host
         super().__init__(
-            f"Something listens at {shown}:{port} already. Choose another port (`--port`), or end what listens there."
+            f"Something listens at {address} already. Choose another port (`--port`), or end what listens there."
         )
 
 
@@ -101,7 +100,7 @@ LONGEST_TEXT = 10_000
 """Most letters of an error on a wire."""
 
 
-def as_failure(error: BaseException) -> dict[str, object]:
+def as_failure(error: BaseException) -> dict[str, str]:
     """Return an error as a wire carries it."""
     is_ours = isinstance(error, VlagentsError)
     text = str(error) if is_ours else f"{type(error).__name__}: {error}"

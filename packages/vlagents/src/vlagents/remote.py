@@ -131,10 +131,13 @@ class RemotePolicy(Policy):
             self._instructions[session] = instruction
             if self._channel is None:
                 self._connect_to_fitting()
+            self._tell("reset", session=session, instruction=instruction, seed=seed)
 
     def forget(self, session: str) -> None:
         """Forget a session, here and on a server that remembers it."""
-        self._instructions.pop(session, None)
+        with self._lock:
+            self._instructions.pop(session, None)
+            self._tell("forget", session=session)
 
     def close(self) -> None:
         """End the connection. A server of vlagents forgets this client's sessions."""
@@ -156,6 +159,9 @@ class RemotePolicy(Policy):
     @abstractmethod
     def _infer(self, observation: Observation) -> Chunk:
         """Return the policy's chunk for an observation."""
+
+    def _tell(self, call: str, **given: Any) -> None:
+        """Pass `reset` or `forget` on to a server that remembers sessions; others need nothing."""
 
     def _connected(self) -> Any:
         if self._channel is None:

@@ -8,8 +8,7 @@ import os
 import socket
 
 from vlagents.address import is_loopback
-from vlagents.errors import BadMessage, Unauthorized, VlagentsError
-from vlagents.wire.calls import failure
+from vlagents.errors import BadMessage, Unauthorized, VlagentsError, as_failure
 from vlagents.wire.link import Deadline, Link
 from vlagents.wire.shared import SharedChannel, UnixLink, is_supported, name_beside, peer_user
 from vlagents.wire.stream import StreamChannel
@@ -57,7 +56,7 @@ class Server(WireServer):
             answer = self.service.answer(guest, values)
         except (BadMessage, Unauthorized) as error:
             with contextlib.suppress(VlagentsError):
-                channel.send(failure(values.get("id"), error), self._rest())
+                channel.send({"id": values.get("id"), "error": as_failure(error)}, self._rest())
             raise
         channel.largest = self._largest if guest.is_known else STRANGER
         channel.send(answer, self._rest())

@@ -12,12 +12,20 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from vlagents.chunk import Chunk
-from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, PolicyFailed, Unauthorized, VlagentsError
+from vlagents.errors import (
+    BadMessage,
+    ConnectionLost,
+    InvalidInput,
+    PolicyFailed,
+    Unauthorized,
+    VlagentsError,
+    as_failure,
+)
 from vlagents.metadata import Metadata
 from vlagents.observation import Observation
 from vlagents.policy import Policy
 from vlagents.record import read
-from vlagents.wire.calls import VERSION, Call, chunk_to_values, failure, observation_from_values
+from vlagents.wire.calls import VERSION, Call, chunk_to_values, observation_from_values
 from vlagents.wire.link import Deadline
 
 _log = logging.getLogger(__name__)
@@ -104,14 +112,14 @@ class Service:
                 raise Unauthorized("The token is missing or wrong.")
         caller.is_known = True
 
-    def answer(self, caller: Caller, values: object) -> dict[str, Any]:
+    def answer(self, caller: Caller, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return the answer to a call, which may be an error.
 
         Raises:
             BadMessage: The values are no call.
             Unauthorized: The caller does not know the token.
         """
-        if not isinstance(values, Mapping) or not isinstance(values.get("call"), str):
+        if not isinstance(values.get("call"), str):
             raise BadMessage("This is no call.")
         number = values.get("id")
         if not isinstance(number, int):
@@ -121,9 +129,13 @@ class Service:
         except (BadMessage, Unauthorized):
             raise
         except Exception as error:  # noqa: BLE001  the caller gets whatever a policy raises
-            if not isinstance(error, VlagentsError):
-                _log.exception("The policy failed to answer %s of %s", values["call"], caller.name)
-            return failure(number, error)
+            return {"id": number, "error": self.failure(caller, error)}
+
+    def failure(self, caller: Caller, error: Exception) -> dict[str, str]:
+        """Return an error as a wire carries it; one that was not raised on purpose goes to the log, with its trace."""
+        if not isinstance(error, VlagentsError):
+            _log.error("The policy failed to answer %s", caller.name, exc_info=error)
+        return as_failure(error)
 
     def health(self) -> dict[str, Any]:
         """Return version, running time and number of answers."""

@@ -8,7 +8,6 @@ not have: sessions, resets, and errors that do not end the connection.
 from __future__ import annotations
 
 import contextlib
-import logging
 import threading
 import time
 from collections.abc import Mapping
@@ -22,7 +21,6 @@ from vlagents.errors import (
     PolicyFailed,
     Unauthorized,
     VlagentsError,
-    as_failure,
     from_failure,
 )
 from vlagents.metadata import Metadata
@@ -35,8 +33,6 @@ from vlagents.wire.handshake import accept, ask
 from vlagents.wire.link import Deadline, Link, dial
 from vlagents.wire.openpi import ACTIONS, OWN, observation_from_flat, observation_to_flat, pack_parts, unpack
 from vlagents.wire_server import BEGIN, Guest, WireServer
-
-_log = logging.getLogger(__name__)
 
 ATTENDED = 2.0
 """Period of answering the other side's pings between calls, or while the policy works [s]; openpi waits 20 s."""
@@ -55,18 +51,6 @@ class WebsocketClient(RemotePolicy):
         self._is_closed = threading.Event()
         super().__init__(address, **options)
         threading.Thread(target=self._attend, name=f"vlagents pongs to {self.address}", daemon=True).start()
-
-    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Begin an episode; connect again if the server was gone."""
-        super().reset(session, instruction, seed=seed)
-        if self._is_ours:
-            self._call("reset", session=session, instruction=instruction, seed=seed)
-
-    def forget(self, session: str) -> None:
-        """Have a server of ours forget a session."""
-        super().forget(session)
-        if self._is_ours:
-            self._call("forget", session=session)
 
     def close(self) -> None:
         """End the connection."""
@@ -90,9 +74,10 @@ class WebsocketClient(RemotePolicy):
             if channel is not None:
                 channel.attend()
 
-    def _call(self, call: str, **given: Any) -> None:
-        self._number += 1
-        self._ask({OWN: {"call": call, "id": self._number, "within": self.timeout, **given}})
+    def _tell(self, call: str, **given: Any) -> None:
+        if self._is_ours:
+            self._number += 1
+            self._ask({OWN: {"call": call, "id": self._number, "within": self.timeout, **given}})
 
     def _ask(self, values: dict[str, Any]) -> dict[str, Any]:
         with self._lock:
@@ -101,27 +86,22 @@ class WebsocketClient(RemotePolicy):
             deadline = Deadline(self.timeout, f"The answer of {self.address}")
             try:
                 channel.send(parts, deadline)
-                message = channel.receive(deadline)
+                answer = self._received(channel, deadline)
             except VlagentsError:
                 self._lose(channel)
                 raise
-            if isinstance(message, str):
-                self._lose(channel)  # openpi's servers close behind it
-            try:
-                return self._read(message)
-            except BadMessage:
-                self._lose(channel)
-                raise
+        own = answer.get(OWN)
+        if isinstance(own, Mapping) and "error" in own:
+            raise from_failure(own["error"])
+        return answer
 
-    def _read(self, message: str | memoryview) -> dict[str, Any]:
+    def _received(self, channel: FrameChannel, deadline: Deadline) -> dict[str, Any]:
+        message = channel.receive(deadline)
         if isinstance(message, str):  # openpi's way to say what went wrong; it closes then
             raise PolicyFailed(f"{self.address} failed: {message[:4000]}")
         answer = unpack(message)
         if not isinstance(answer, dict):
             raise BadMessage(f"{self.address} sent {type(answer).__name__}; valid is a dictionary.")
-        own = answer.get(OWN)
-        if isinstance(own, Mapping) and "error" in own:
-            raise from_failure(own["error"])
         return answer
 
     def _connect(self) -> None:
@@ -131,7 +111,7 @@ class WebsocketClient(RemotePolicy):
         channel = FrameChannel(link, is_client=True)
         with channel.guarded():
             ask(link, str(self.address), headers, deadline)
-            greeting = self._read(channel.receive(deadline))
+            greeting = self._received(channel, deadline)
             self._is_ours = isinstance(greeting.get(OWN), Mapping)
             if self._is_ours:
                 self._metadata = Metadata.from_dict(greeting[OWN])
@@ -142,6 +122,8 @@ class WebsocketServer(WireServer):
     """Answers openpi's clients, and ours, over a websocket. `GET /healthz` returns OK."""
 
     schemes = ("ws", "wss")
+    _health = ("/healthz", "OK\n")
+    """Path of a request for health, and the answer."""
 
     def _start_more(self) -> None:
         self._run("vlagents pongs", self._attend)
@@ -153,8 +135,8 @@ class WebsocketServer(WireServer):
 
     def _admit(self, guest: Guest, request: Any) -> tuple[int, str] | None:
         """Return an answer other than a websocket: health, or a refusal of a wrong token."""
-        if request.path == "/healthz":
-            return 200, "OK\n"
+        if request.path == self._health[0]:
+            return 200, self._health[1]
         kind, _, token = (request.headers.get_all("Authorization") or [""])[-1].partition(" ")
         try:
             self.service.admit(guest, token if kind in ("Api-Key", "Bearer") else "")
@@ -167,9 +149,12 @@ class WebsocketServer(WireServer):
         if not accept(link, Deadline(BEGIN, "a request"), lambda request: self._admit(guest, request)):
             return None
         channel = FrameChannel(link, is_client=False, largest=self._largest)
+        self._greet(guest, channel)
+        return channel
+
+    def _greet(self, guest: Guest, channel: FrameChannel) -> None:
         metadata = self.service.metadata
         channel.send(pack_parts({"policy": metadata.name, OWN: metadata.to_dict()}), self._rest())
-        return channel
 
     def _answer_one(self, guest: Guest, channel: FrameChannel) -> None:
         try:
@@ -184,34 +169,23 @@ class WebsocketServer(WireServer):
             raise
 
     def _answer(self, caller: Caller, message: str | memoryview) -> dict[str, Any]:
-        if isinstance(message, str):
-            raise BadMessage("A message is text; valid is msgpack.")
-        values = unpack(message)
+        values = None if isinstance(message, str) else unpack(message)
         if not isinstance(values, Mapping):
-            raise BadMessage(f"A message is {type(values).__name__}; valid is a dictionary.")
+            raise BadMessage(f"A message is text or {type(values).__name__}; valid is a dictionary in msgpack.")
         own = values.get(OWN)
-        if own is None:
-            return self._act_or_end(caller, values)
-        if not isinstance(own, Mapping):
+        if own is not None and not isinstance(own, Mapping):
             raise BadMessage(f"{OWN!r} is {type(own).__name__}; valid is a dictionary.")
         try:
-            if "call" in own:
+            if own is not None and "call" in own:
                 return {OWN: self.service.answer(caller, own)}
-            return self._act(caller, values, own)
+            return self._act(caller, values, own or {})
         except BadMessage:
             raise
-        except Exception as error:  # noqa: BLE001  our client reads errors and keeps its connection
-            return {OWN: {"error": as_failure(error)}}
-
-    def _act_or_end(self, caller: Caller, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Answer a client of openpi's; an error ends its connection."""
-        try:
-            return self._act(caller, values, {})
-        except VlagentsError:
-            raise
         except Exception as error:
-            _log.exception("The policy failed to answer %s", caller.name)
-            raise from_failure(as_failure(error)) from error
+            failure = self.service.failure(caller, error)
+            if own is None:  # a client of openpi's, whose connection ends
+                raise from_failure(failure) from error
+            return {OWN: {"error": failure}}
 
     def _act(self, caller: Caller, values: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
         session, moment = str(own.get("session", "")), own.get("time", 0.0)

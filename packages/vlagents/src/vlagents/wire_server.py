@@ -135,7 +135,7 @@ class WireServer(ABC):
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 raise
-            raise AddressTaken(self._host, self._port) from error
+            raise AddressTaken(self.address) from error
         self._port = listener.getsockname()[1]
         self._start_more()
         self._listen(listener, self._open)

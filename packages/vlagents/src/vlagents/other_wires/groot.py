@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import logging
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,7 +18,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from vlagents.chunk import Chunk
-from vlagents.errors import LONGEST_TEXT, BadMessage, InvalidInput, PolicyFailed, Unauthorized, VlagentsError
+from vlagents.errors import BadMessage, InvalidInput, PolicyFailed, Unauthorized, VlagentsError
 from vlagents.observation import Observation
 from vlagents.remote import RemotePolicy
 from vlagents.service import Caller
@@ -29,8 +28,6 @@ from vlagents.wire.message import array_of, encode
 from vlagents.wire.stream import LARGEST_HEADER
 from vlagents.wire.zmtp import ZmtpChannel
 from vlagents.wire_server import BEGIN, STRANGER, Guest, WireServer
-
-_log = logging.getLogger(__name__)
 
 LARGEST_FIRST = 32 << 20
 """Most bytes of a message before the token is known: GR00T's clients send it behind the images."""
@@ -66,17 +63,15 @@ class GrootClient(RemotePolicy):
     schemes = ("gr00t",)
     _channel: ZmtpChannel | None
 
-    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
-        """Begin an episode, on the server too; connect again if it was gone."""
-        super().reset(session, instruction, seed=seed)
-        with self._lock:
-            self._call("reset", {"options": None})
-
     def ping(self) -> dict[str, Any]:
         """Return the health of the server."""
         with self._lock:
             answer = self._call("ping", None)
         return dict(answer) if isinstance(answer, Mapping) else {}
+
+    def _tell(self, call: str, **given: Any) -> None:
+        if call == "reset":
+            self._call("reset", {"options": None})
 
     def _infer(self, observation: Observation) -> Chunk:
         seen = {
@@ -146,7 +141,7 @@ class GrootServer(WireServer):
             self.service.admit(guest, request.get("api_token"))
         except (BadMessage, Unauthorized) as error:
             with contextlib.suppress(VlagentsError):
-                said = "Unauthorized: Invalid API token" if isinstance(error, Unauthorized) else _text(error)
+                said = "Unauthorized: Invalid API token" if isinstance(error, Unauthorized) else str(error)
                 channel.send(pack({"error": said}), self._rest())
             raise
         channel.send(pack(self._answer(guest, request)), self._rest())
@@ -156,9 +151,7 @@ class GrootServer(WireServer):
         try:
             return self._act(caller, request.get("endpoint"), given if isinstance(given, Mapping) else {})
         except Exception as error:  # noqa: BLE001  the client gets whatever a policy raises
-            if not isinstance(error, VlagentsError):
-                _log.exception("The policy failed to answer")
-            return {"error": _text(error)}
+            return {"error": self.service.failure(caller, error)["text"]}
 
     def _act(self, caller: Caller, endpoint: object, data: Mapping[str, Any]) -> Any:
         if endpoint == "ping":
@@ -175,10 +168,6 @@ class GrootServer(WireServer):
             found[part.name] = actions[None, :, at : at + part.size]
             at += part.size
         return [found, dict(chunk["info"])]
-
-
-def _text(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"[:LONGEST_TEXT].encode(errors="replace").decode()
 
 
 def _observation(given: Any) -> Observation:

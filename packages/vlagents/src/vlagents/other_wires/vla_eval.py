@@ -9,7 +9,6 @@ number, or by `error`. An array is `{"__ndarray__", "data", "dtype", "shape"}`, 
 
 from __future__ import annotations
 
-import logging
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -19,24 +18,22 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from vlagents.errors import BadMessage, InvalidInput, Unauthorized, VlagentsError
+from vlagents.errors import BadMessage, InvalidInput
 from vlagents.jpeg import decoded
 from vlagents.observation import Observation
+from vlagents.websocket import WebsocketServer
 from vlagents.wire import bulk
 from vlagents.wire.frames import FrameChannel
-from vlagents.wire.handshake import accept
-from vlagents.wire.link import Deadline, Link
+from vlagents.wire.link import Deadline
 from vlagents.wire.message import array_of, encode
-from vlagents.wire_server import BEGIN, Guest, WireServer
-
-_log = logging.getLogger(__name__)
+from vlagents.wire_server import Guest
 
 PROTOCOL = 1
 """Version of the messages."""
 INSTRUCTION = "task_description"
 
 
-class VlaEvalServer(WireServer):
+class VlaEvalServer(WebsocketServer):
     """Answers the benchmarks of vla-eval with a policy; each connection has a session of its own.
 
     The policy's images and parts of the state have the benchmark's names. A token is sent as `Authorization: Bearer
@@ -44,26 +41,14 @@ class VlaEvalServer(WireServer):
     """
 
     schemes = ("ws", None)
-
-    def _open(self, guest: Guest) -> FrameChannel | None:
-        link = Link(guest.connection)
-        if not accept(link, Deadline(BEGIN, "a request"), lambda request: self._admit(guest, request)):
-            return None
-        self._rows[guest] = deque()
-        return FrameChannel(link, is_client=False, largest=self._largest)
-
-    def _admit(self, guest: Guest, request: Any) -> tuple[int, str] | None:
-        if request.path == "/health":
-            return 200, '{"status": "ok"}\n'
-        kind, _, token = (request.headers.get_all("Authorization") or [""])[-1].partition(" ")
-        try:
-            self.service.admit(guest, token if kind == "Bearer" else "")
-        except Unauthorized as error:
-            return 401, f"{error}\n"
-        return None
+    _health = ("/health", '{"status": "ok"}\n')
 
     def _start_more(self) -> None:
+        super()._start_more()
         self._rows: WeakKeyDictionary[Guest, deque[NDArray[np.float32]]] = WeakKeyDictionary()
+
+    def _greet(self, guest: Guest, channel: FrameChannel) -> None:
+        self._rows[guest] = deque()  # the client begins
 
     def _answer_one(self, guest: Guest, channel: FrameChannel) -> None:
         message = channel.receive(Deadline(None, ""), self._rest())
@@ -72,16 +57,14 @@ class VlaEvalServer(WireServer):
             raise BadMessage("This is no message of vla-eval: a dictionary with type, payload, seq and timestamp.")
         kind, number = values.get("type"), values.get("seq")
         try:
-            found = self._answer(guest, kind, values["payload"])
+            found = self._reply(guest, kind, values["payload"])
         except Exception as error:  # noqa: BLE001  the benchmark counts the episode as an error and goes on
-            if not isinstance(error, VlagentsError):
-                _log.exception("The policy failed to answer %s", guest.name)
-            found = "error", {"error": f"{type(error).__name__}: {error}"}
+            found = "error", {"error": self.service.failure(guest, error)["text"]}
         if found is not None:
             answer = {"type": found[0], "payload": found[1], "seq": number, "timestamp": time.time()}
             channel.send([encode(answer, _array_to_map)], self._rest())
 
-    def _answer(self, guest: Guest, kind: object, payload: Mapping[str, Any]) -> tuple[str, dict[str, Any]] | None:
+    def _reply(self, guest: Guest, kind: object, payload: Mapping[str, Any]) -> tuple[str, dict[str, Any]] | None:
         metadata, rows = self.service.metadata, self._rows[guest]
         if kind == "hello":
             from vlagents import __version__

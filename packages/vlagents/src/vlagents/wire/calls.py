@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta
 
 from vlagents.chunk import Chunk
-from vlagents.errors import BadMessage, InvalidInput, as_failure
+from vlagents.errors import BadMessage, InvalidInput
 from vlagents.jpeg import Jpeg
 from vlagents.observation import Observation
 from vlagents.record import Seconds, read
@@ -100,11 +100,6 @@ def chunk_from_values(values: object) -> Chunk:
         return Chunk(np.array(found.actions, np.float64), found.period, found.time, found.info)
     except (InvalidInput, ValueError, TypeError) as error:
         raise BadMessage(f"The answer is no chunk: {error}") from error
-
-
-def failure(number: object, error: BaseException) -> dict[str, Any]:
-    """Return the answer to a call that failed."""
-    return {"id": number, "error": as_failure(error)}
 
 
 def _image_to_values(image: Any) -> Any:
