@@ -20,7 +20,7 @@ class Chunk:
     """
 
     actions: NDArray[np.float64]
-    """(horizon, size): columns are the metadata's parts of an action, side by side."""
+    """(horizon, size): columns are the metadata's parts of an action, side by side. The chunk has a copy."""
     period: float
     """Time that each row is for [s]."""
     time: float = 0.0
@@ -34,7 +34,7 @@ class Chunk:
         Raises:
             InvalidInput: One is wrong.
         """
-        actions = np.asarray(self.actions, np.float64)
+        actions = np.array(self.actions, np.float64)
         object.__setattr__(self, "actions", actions)
         if actions.ndim != 2 or actions.shape[0] < 1 or actions.shape[1] < 1:
             raise InvalidInput(f"actions have the shape {actions.shape}; valid is (horizon, size), at least (1, 1).")

@@ -6,7 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from vlagents.errors import InvalidInput
 from vlagents.record import Count, Hertz, Name, Record
@@ -102,6 +104,12 @@ class Offer(Record):
     """True if the robot has an instruction in words."""
     has_goal: bool = True
     """True if images of the goal are sent with observations."""
+
+
+def split(values: NDArray[Any], parts: Sequence[PartSpec]) -> dict[str, NDArray[Any]]:
+    """Return the columns of each part by its name; the parts lie side by side along the last axis, (…, size)."""
+    columns = np.split(values, np.cumsum([part.size for part in parts], dtype=int), axis=-1)
+    return {part.name: own for part, own in zip(parts, columns, strict=False)}
 
 
 def differences(metadata: Metadata, offer: Offer) -> list[str]:

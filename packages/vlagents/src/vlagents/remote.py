@@ -194,6 +194,6 @@ class RemotePolicy(Policy):
         if size and actions.shape[-1] != size:
             raise BadMessage(f"{self.address} gave actions of {actions.shape[-1]} numbers; the metadata say {size}.")
         try:
-            return Chunk(np.array(np.atleast_2d(actions), np.float64), period, time, info or {})
+            return Chunk(np.atleast_2d(actions), period, time, info or {})
         except InvalidInput as error:
             raise BadMessage(f"The answer of {self.address} is no chunk: {error}") from error

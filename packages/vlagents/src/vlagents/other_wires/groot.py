@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, InvalidInput, PolicyFailed, Unauthorized, VlagentsError
+from vlagents.metadata import split
 from vlagents.observation import Observation
 from vlagents.remote import RemotePolicy
 from vlagents.service import Caller
@@ -163,11 +164,7 @@ class GrootServer(WireServer):
             raise InvalidInput(f"There is no endpoint {endpoint!r:.80}; valid: get_action, reset, ping.")
         chunk = self.service.infer(caller, _observation(data.get("observation")))
         actions = np.asarray(chunk["actions"], np.float32)
-        found, at = {}, 0
-        for part in self.service.metadata.action:
-            found[part.name] = actions[None, :, at : at + part.size]
-            at += part.size
-        return [found, dict(chunk["info"])]
+        return [split(actions[None], self.service.metadata.action), dict(chunk["info"])]
 
 
 def _observation(given: Any) -> Observation:

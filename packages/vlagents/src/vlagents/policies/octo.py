@@ -78,14 +78,6 @@ class OctoPolicy(SessionPolicy[_Memory]):
         drawn = np.random.default_rng(seed).integers(2**31) if seed is None else seed
         return _Memory(deque(maxlen=self._window), self._jax.random.PRNGKey(drawn))
 
-    def _warm_up(self) -> None:
-        """Call the policy once, so that the model is compiled before a robot waits for it."""
-        images = {self._settings.camera(name): np.zeros((*size, 3), np.uint8) for name, size in self._pictures.items()}
-        state = {part.name: np.zeros(part.size) for part in self._settings.state}
-        goals = images if self._metadata.needs_goal else {}
-        self.infer(Observation(images=images, state=state, goals=goals, instruction="wait", session="warm-up"))
-        self.forget("warm-up")
-
     def _describe(self, checkpoint: str, is_remote: bool) -> Metadata:
         action = self._settings.action or DELTA_POSE
         check_parts("action", action, len(self._statistics["action"]["mean"]))

@@ -147,15 +147,7 @@ class OpenpiPolicy(SessionPolicy[None]):
             data_hash=settings.data_hash,
         )
         super().__init__(metadata)
-        self._metadata = replace(metadata, horizon=self._warm_up())
-
-    def _warm_up(self) -> int:
-        """Call the policy once, so that the model is compiled; return the number of actions."""
-        black = {self._settings.camera(key): np.zeros((SIZE, SIZE, 3), np.uint8) for key in self._layout.images}
-        state = {part.name: np.zeros(part.size) for part in self._layout.state}
-        chunk = self.infer(Observation(images=black, state=state, instruction="wait", session="warm-up"))
-        self.forget("warm-up")
-        return len(chunk.actions)
+        self._metadata = replace(metadata, horizon=len(self._warm_up().actions))
 
     def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
         """Begin an episode. openpi draws from one stream for all sessions, so a seed has no effect."""

@@ -90,10 +90,7 @@ def read_calls(path: str | Path) -> Iterator[dict[str, Any]]:
             left -= LENGTHS.size + header_size + size
             if left < 0:
                 return
-            found = unpack(file.read(header_size), file.read(size))
-            if not isinstance(found, dict):
-                raise InvalidInput(f"{path} has a call that is {type(found).__name__}.")
-            yield found
+            yield unpack(file.read(header_size), file.read(size))
 
 
 class ReplayPolicy(SessionPolicy[Iterator[Chunk]]):

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
+from vlagents.chunk import Chunk
 from vlagents.errors import InvalidInput
 from vlagents.metadata import Metadata
 from vlagents.observation import Observation
@@ -42,6 +45,15 @@ class SessionPolicy(Policy, Generic[T]):
     def forget(self, session: str) -> None:
         """Forget a session."""
         self._sessions.pop(session, None)
+
+    def _warm_up(self) -> Chunk:
+        """Call the policy once, so that its model is compiled before a robot waits for it; return the answer."""
+        black = {image.name: np.zeros((image.height, image.width, 3), np.uint8) for image in self._metadata.images}
+        state = {part.name: np.zeros(part.size) for part in self._metadata.state}
+        goals = black if self._metadata.needs_goal else {}
+        chunk = self.infer(Observation(black, state, "wait", goals, session="warm-up"))
+        self.forget("warm-up")
+        return chunk
 
     def _begin(self, seed: int | None) -> Any:
         """Return the memory of a new session."""

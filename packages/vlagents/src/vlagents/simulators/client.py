@@ -50,14 +50,11 @@ class SimulatorClient:
             self.mapping = mapping or self.facts.mapping
             """The mapping between the simulator and policies."""
             self._opened = self._client.call("open", mapping=self.mapping.to_dict()).get("opened")
+            self.offer: Offer = self.mapping.offer(self.facts)
+            """The offer to a policy: what it is shown and what it may command."""
         except BaseException:
             self._client.close()
             raise
-
-    @property
-    def offer(self) -> Offer:
-        """The offer to a policy: what it is shown and what it may command."""
-        return self.mapping.offer(self.facts)
 
     def begin(self, seed: int) -> Moment:
         """Begin an episode; the same seed begins the same one.
@@ -90,11 +87,10 @@ class SimulatorClient:
             raise BadMessage(
                 f"The simulator sent reward {reward!r:.40}, success {success!r:.40}, is_over {is_over!r:.40}."
             )
-        offer = self.offer
-        sizes = {part.name: part.size for part in offer.state}
+        sizes = {part.name: part.size for part in self.offer.state}
         if {name: len(part) for name, part in seen.state.items()} != sizes:
             raise InvalidInput(f"The simulator sent the state {sorted(seen.state)}; announced are {sizes}.")
-        shapes = {image.name: (image.height, image.width, 3) for image in offer.images}
+        shapes = {image.name: (image.height, image.width, 3) for image in self.offer.images}
         images = {name: np.array(seen.image(name)) for name in seen.images}  # the wire's memory is used again
         if {name: image.shape for name, image in images.items()} != shapes:
             raise InvalidInput(f"The simulator sent images {sorted(images)}; announced are {shapes}.")

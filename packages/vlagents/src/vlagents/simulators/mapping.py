@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,7 +11,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from vlagents.errors import InvalidInput
-from vlagents.metadata import ImageSpec, Meaning, Offer, PartSpec
+from vlagents.metadata import ImageSpec, Meaning, Offer, PartSpec, split
 from vlagents.observation import Observation
 from vlagents.record import Count, Name, Record
 
@@ -58,8 +58,9 @@ class PartMap(Record):
             values = np.concatenate([values[:-3], _rotation(values[-3:], self.rotation)])
         return np.multiply(self.scale, values) + self.offset
 
-    def from_simulator(self, values: Array) -> Array:
-        """Return the numbers here; rotations are not converted back."""
+    def from_simulator(self, parts: Mapping[str, NDArray[Any]]) -> Array:
+        """Return the numbers here for the simulator's parts; rotations are not converted back."""
+        values = np.concatenate([np.asarray(parts[name], np.float64) for name in self.of])
         return (values - self.offset) / self.scale
 
 
@@ -105,23 +106,13 @@ class SimulatorMapping(Record):
 
     def bounds(self, facts: Facts) -> tuple[Array, Array]:
         """Return the least and the largest numbers of an action here, (size,) each."""
-        ends: list[Array] = []
-        places = _places(facts.action)
-        for raw in (facts.low, facts.high):
-            own = [
-                p.from_simulator(np.concatenate([np.array(raw)[places[name]] for name in p.of])) for p in self.action
-            ]
-            ends.append(np.concatenate(own))
+        theirs = [split(np.array(raw), facts.action) for raw in (facts.low, facts.high)]
+        ends = [np.concatenate([part.from_simulator(own) for part in self.action]) for own in theirs]
         return np.minimum(*ends), np.maximum(*ends)
 
     def observation(self, seen: Observation) -> Observation:
         """Return a simulator's observation as a policy gets it."""
-        state = {
-            part.name: part.from_simulator(
-                np.concatenate([np.asarray(seen.state[name], np.float64) for name in part.of])
-            )
-            for part in self.state
-        }
+        state = {part.name: part.from_simulator(seen.state) for part in self.state}
         images = {image.name: _flipped(seen.image(image.camera), image.flip) for image in self.images}
         return Observation(images, state, self.instruction, time=seen.time)
 
@@ -131,18 +122,16 @@ class SimulatorMapping(Record):
         Raises:
             InvalidInput: It has another size, or a number that is not finite.
         """
-        size = sum(facts_part.size for facts_part in facts.action)
+        theirs = {part.name: part for part in facts.action}
+        size = sum(part.size for part in facts.action)
         if values.shape != (size,) or not np.isfinite(values).all():
             raise InvalidInput(f"The action is {values}; valid are {size} finite numbers.")
-        raw, at, places, sizes = np.empty(size), 0, _places(facts.action), _sizes(facts.action)
+        raw: dict[str, Array] = {}
         for part in self.action:
-            count = sum(sizes[name] for name in part.of)
-            own, done = part.to_simulator(values[at : at + count]), 0
-            for name in part.of:
-                raw[places[name]] = own[done : done + sizes[name]]
-                done += sizes[name]
-            at += count
-        return np.clip(raw, facts.low, facts.high)
+            of = [theirs[name] for name in part.of]
+            own, values = np.split(values, [sum(one.size for one in of)])
+            raw |= split(part.to_simulator(own), of)
+        return np.clip(np.concatenate([raw[name] for name in theirs]), facts.low, facts.high)
 
     def _differences(self, facts: Facts) -> Iterator[str]:
         for what, named in (("images", self.images), ("state", self.state), ("action", self.action)):
@@ -183,16 +172,6 @@ class SimulatorMapping(Record):
 
 def _sizes(parts: Sequence[PartSpec]) -> dict[str, int]:
     return {part.name: part.size for part in parts}
-
-
-def _places(parts: Sequence[PartSpec]) -> dict[str, slice]:
-    """Return the columns of each part of an action."""
-    found: dict[str, slice] = {}
-    at = 0
-    for part in parts:
-        found[part.name] = slice(at, at + part.size)
-        at += part.size
-    return found
 
 
 def _listed(names: Sequence[str]) -> str:
