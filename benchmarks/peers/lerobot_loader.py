@@ -10,9 +10,9 @@ import sys
 from importlib.metadata import version
 
 from rate import HORIZON, report_samples
-from vlagents.policies.torch_stack import import_stack
+from vlagents.policies.stack import import_stack
 
-_, datasets = import_stack("lerobot", "lerobot.datasets.lerobot_dataset")
+_, datasets = import_stack("lerobot", "torch", "lerobot.datasets.lerobot_dataset")
 fps = datasets.LeRobotDataset("export", root=sys.argv[1]).fps
 ahead = {"action": [step / fps for step in range(HORIZON)]}
 dataset = datasets.LeRobotDataset("export", root=sys.argv[1], delta_timestamps=ahead, video_backend="torchcodec")

@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from vlagents.policies.torch_stack import import_stack
+from vlagents.policies.stack import import_stack
 
-torch, factory, types = import_stack("lerobot", "lerobot.policies.factory", "lerobot.configs.types")
+torch, factory, types = import_stack("lerobot", "torch", "lerobot.policies.factory", "lerobot.configs.types")
 
 SMALL: dict[str, dict[str, Any]] = {
     "act": {

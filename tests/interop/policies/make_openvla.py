@@ -12,9 +12,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from vlagents.policies.torch_stack import import_stack
+from vlagents.policies.stack import import_stack
 
-torch, transformers, _ = import_stack("openvla", "transformers", "timm")
+torch, transformers, _ = import_stack("openvla", "torch", "transformers", "timm")
 # Not by way of the package around it, which imports what only training needs.
 sys.path.insert(0, str(Path(os.environ["OPENVLA_REPO"]) / "prismatic" / "extern"))
 

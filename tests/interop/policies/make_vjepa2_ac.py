@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from vlagents.policies.torch_stack import import_stack
+from vlagents.policies.stack import import_stack
 
-torch, transformers, _ = import_stack("vjepa2_ac", "transformers", "timm")
+torch, transformers, _ = import_stack("vjepa2_ac", "torch", "transformers", "timm")
 
 from src.models.ac_predictor import vit_ac_predictor  # noqa: E402  after the operators that torchvision misses
 

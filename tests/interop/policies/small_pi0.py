@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from vlagents.cli.main import main as vlagents
-from vlagents.policies.torch_stack import import_stack
+from vlagents.policies.stack import import_stack
 
 torch, factory, types, pi0, tokens = import_stack(
     "lerobot",
+    "torch",
     "lerobot.policies.factory",
     "lerobot.configs.types",
     "lerobot.policies.pi0.modeling_pi0",

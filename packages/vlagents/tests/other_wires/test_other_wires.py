@@ -278,11 +278,6 @@ def test_a_request_of_openvla_without_an_instruction_is_refused_in_words(
     assert "A request has no instruction." in caplog.text
 
 
-def test_a_server_without_a_port_takes_that_of_its_wire() -> None:
-    assert [kind(Echo()).address.port for kind in (GrootServer, OpenvlaServer)] == [5555, 8000]
-    assert OpenvlaServer(Echo(), port=8123).address.port == 8123
-
-
 def test_a_body_that_trickles_is_late_at_the_deadline() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
 

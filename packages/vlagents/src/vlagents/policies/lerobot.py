@@ -22,7 +22,7 @@ from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import FILE, Settings, check_parts
-from vlagents.policies.torch_stack import device, import_stack
+from vlagents.policies.stack import device, import_stack
 
 STATE, ACTION, IMAGES = "observation.state", "action", "observation.images."
 """LeRobot's names of inputs and outputs."""
@@ -69,7 +69,7 @@ class LerobotPolicy(SessionPolicy[Memory]):
         settings = settings or Settings.read(checkpoint if has_own else folder)
         settings.check_options(())
         packages = ("lerobot.policies.factory", "lerobot.configs.policies")
-        self._torch, factory, configs = import_stack("lerobot", *packages)
+        self._torch, factory, configs = import_stack("lerobot", "torch", *packages)
         config = configs.PreTrainedConfig.from_pretrained(folder)
         if family and config.type != family:
             raise InvalidInput(f"{folder} is a checkpoint of {config.type!r}; serve it as that, or as 'lerobot'.")

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from vlagents.policies.torch_stack import import_stack
+from vlagents.policies.stack import import_stack
 
 BEGUN_WITH = 256
 """Frames of each camera from which the normalisation of a backbone begins."""
@@ -35,7 +35,7 @@ def main(words: Sequence[str]) -> None:
         sys.exit(__doc__)
     os.environ.setdefault("HF_HUB_OFFLINE", "1")  # datasets are here; set it to 0 for published weights
     os.environ.setdefault("ACCELERATE_MIXED_PRECISION", "bf16")
-    torch, trainer = import_stack("lerobot", "lerobot.scripts.lerobot_train")
+    torch, trainer = import_stack("lerobot", "torch", "lerobot.scripts.lerobot_train")
     require_torchcodec()
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", str(torch.get_num_threads()))))
     file, export, run = map(Path, words[:3])
@@ -96,6 +96,7 @@ def begin(torch: Any, options: dict[str, Any], policy: dict[str, Any], folder: P
     """
     _, factory, datasets, configs, layers = import_stack(
         "lerobot",
+        "torch",
         "lerobot.policies.factory",
         "lerobot.datasets.lerobot_dataset",
         "lerobot.configs.policies",

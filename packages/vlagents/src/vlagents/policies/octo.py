@@ -7,7 +7,6 @@ were observed. In training they were one step apart, so call the policy in every
 
 from __future__ import annotations
 
-import importlib
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.chunk import Chunk
-from vlagents.errors import InvalidInput, MissingStack
+from vlagents.errors import InvalidInput
 from vlagents.metadata import ImageSpec, Metadata
 from vlagents.observation import Observation
 from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import DELTA_POSE, Settings, check_parts, chosen
+from vlagents.policies.stack import import_stack
 
 USUAL_RATE = 5.0
 """Rate of BridgeData V2 [Hz], on whose robot Octo was evaluated most; settings give that of other data."""
@@ -54,12 +54,12 @@ class OctoPolicy(SessionPolicy[_Memory]):
         """
         settings = settings or Settings.read(checkpoint)
         settings.check_options(())
-        self._jax, model = _stack()
+        self._jax, upstream = import_stack("octo", "jax", "octo.model.octo_model")
         is_remote = checkpoint.startswith("hf://")
         if not is_remote and not (Path(checkpoint) / "config.json").is_file():
             raise InvalidInput(f"checkpoint is {checkpoint!r}; valid is a folder that OctoModel.save_pretrained wrote.")
         # Orbax needs an absolute path.
-        self._model = model.load_pretrained(checkpoint if is_remote else str(Path(checkpoint).resolve()))
+        self._model = upstream.OctoModel.load_pretrained(checkpoint if is_remote else str(Path(checkpoint).resolve()))
         example = self._model.example_batch["observation"]
         self._window: int = example["timestep_pad_mask"].shape[1]
         self._pictures = {name: tuple(example[name].shape[2:4]) for name in example if name.startswith(PICTURE)}
@@ -152,14 +152,6 @@ class OctoPolicy(SessionPolicy[_Memory]):
             cameras = [self._settings.camera(name) for name in missing]
             raise InvalidInput(f"The goal has no images of {cameras}; this model needs one of each of its cameras.")
         return self._model.create_tasks(goals=goals, texts=[words] if words else None)
-
-
-def _stack() -> tuple[Any, Any]:
-    """Return JAX and Octo's model class."""
-    try:
-        return importlib.import_module("jax"), importlib.import_module("octo.model.octo_model").OctoModel
-    except ImportError as error:  # the index's octo is another project, and has no octo.model
-        raise MissingStack("octo", error.name or "octo.model") from error
 
 
 def _statistics(known: Any, dataset: str) -> dict[str, Any]:

@@ -7,7 +7,6 @@ that side, and names and units of the robot on ours. A layout converts between t
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import sys
 from collections.abc import Callable
@@ -19,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlagents.chunk import Chunk
-from vlagents.errors import InvalidInput, MissingStack
+from vlagents.errors import InvalidInput
 from vlagents.metadata import ImageSpec, Metadata, PartSpec
 from vlagents.observation import Observation
 from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import Settings, check_parts
+from vlagents.policies.stack import import_stack
 from vlagents.remote import RemotePolicy, connect
 
 SIZE = 224
@@ -188,11 +188,7 @@ def _trained(checkpoint: str, settings: Settings) -> Any:
     config = settings.option("config", "")
     if not config:
         raise InvalidInput("The option 'config' is missing; give the name of the openpi config that trained the model.")
-    try:
-        policies = importlib.import_module("openpi.policies.policy_config")
-        configs = importlib.import_module("openpi.training.config")
-    except ImportError as error:  # the index's openpi 0.0.0 is a placeholder
-        raise MissingStack("openpi", error.name or "openpi") from error
+    policies, configs = import_stack("openpi", "openpi.policies.policy_config", "openpi.training.config")
     file = _code_of(checkpoint, settings)
     made = configs.get_config(config) if file is None else _config_of(file)
     # openpi joins paths to it, so it must be absolute.

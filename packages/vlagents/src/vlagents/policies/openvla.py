@@ -22,7 +22,7 @@ from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import DELTA_POSE, Settings, check_parts, chosen
-from vlagents.policies.torch_stack import device, import_stack
+from vlagents.policies.stack import device, import_stack
 
 USUAL_RATE = 5.0
 """Rate of BridgeData V2 [Hz]; settings give that of other data."""
@@ -62,7 +62,7 @@ class OpenvlaPolicy(SessionPolicy[None]):
             raise InvalidInput("The settings have a state, and OpenVLA takes none.")
         self._is_cropped = settings.option("center_crop", False)
         self._prompt = PROMPT_V01 if settings.option("v01", "v01" in checkpoint) else PROMPT
-        self._torch, transformers, *_ = import_stack("openvla", "transformers", "timm", "PIL")
+        self._torch, transformers, *_ = import_stack("openvla", "torch", "transformers", "timm", "PIL")
         self._device = device(self._torch, settings.device)
         # A CPU is slow with less than float32.
         self._precision = self._torch.bfloat16 if self._device.type == "cuda" else self._torch.float32

@@ -28,7 +28,7 @@ from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import DELTA_POSE, Settings
-from vlagents.policies.torch_stack import device, import_stack
+from vlagents.policies.stack import device, import_stack
 
 USUAL_RATE = 4.0
 """Frames per second of the DROID data in training [Hz]."""
@@ -84,7 +84,7 @@ class Vjepa2AcPolicy(SessionPolicy[_Memory]):
         folder = Path(checkpoint)
         if not (folder / "encoder" / "config.json").is_file() or not (folder / "predictor.pt").is_file():
             raise InvalidInput(f"checkpoint is {checkpoint!r}; valid is a folder with encoder/ and predictor.pt.")
-        self._torch, transformers, *_ = import_stack("vjepa2_ac", "transformers", "timm", "PIL")
+        self._torch, transformers, *_ = import_stack("vjepa2_ac", "torch", "transformers", "timm", "PIL")
         self._device = device(self._torch, settings.device)
         self._encoder = transformers.VJEPA2Model.from_pretrained(folder / "encoder").to(self._device).eval()
         sizes = {name: settings.options[name] for name in PREDICTOR if name in settings.options}

@@ -51,6 +51,7 @@ class MetaworldSimulator(Simulator):
         env._freeze_rand_vec, env.seeded_rand_vec = False, True  # every reset draws, and by the seed
         self._env, self._camera = env, camera
         images = (ImageSpec(camera, size, size),) if camera else ()
+        flip: Flip = "both" if camera.startswith("corner") else "none"
         self.facts = Facts(
             name=f"metaworld:{task}",
             versions={name: version(name) for name in ("metaworld", "mujoco", "gymnasium", "numpy")},
@@ -62,7 +63,7 @@ class MetaworldSimulator(Simulator):
             rate=1.0 / float(self._env.dt),
             steps=STEPS,
             mapping=SimulatorMapping(
-                images=tuple(ImageMap(name=image.name, camera=image.name, flip=_flip(image.name)) for image in images),
+                images=tuple(ImageMap(name=image.name, camera=image.name, flip=flip) for image in images),
                 state=(PartMap(name="observation", of=("observation",)),),
                 action=(PartMap(name="raw", of=("hand", "grip")),),
                 steps=STEPS,
@@ -89,7 +90,3 @@ class MetaworldSimulator(Simulator):
         images = {self._camera: np.array(self._env.render(), np.uint8)} if self._camera else {}
         seen = Observation(images, {"observation": np.asarray(state, np.float64)})
         return Moment(seen, float(reward), success, is_over or success)
-
-
-def _flip(camera: str) -> Flip:
-    return "both" if camera.startswith("corner") else "none"

@@ -1,4 +1,4 @@
-"""PyTorch as policies import it: the error names the recipe, and torchvision works beside a torch for the CPU."""
+"""Packages as policies import them: the error names the recipe, and torchvision works beside a torch for the CPU."""
 
 from __future__ import annotations
 
@@ -17,19 +17,23 @@ _declared: list[Any] = []
 
 
 def import_stack(policy: str, *packages: str) -> list[Any]:
-    """Return torch, and packages that stand on it.
+    """Return packages that a policy needs.
+
+    Args:
+        policy: Its name, which is that of its recipe.
+        packages: Names of modules; those that stand on torch come after it.
 
     Raises:
         MissingStack: One is not installed.
     """
     found = []
-    for package in ("torch", *packages):
+    for package in packages:
         try:
             found.append(importlib.import_module(package))
-        except ImportError as error:
+        except ImportError as error:  # a package of the same name may be another project's, and lack the module
             raise MissingStack(policy, error.name or package) from error
         if package == "torch":
-            declare_missing_operators(found[0])
+            declare_missing_operators(found[-1])
     return found
 
 

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from vlagents import InvalidInput
 from vlagents.errors import MissingStack
-from vlagents.policies import torch_stack
-from vlagents.policies.torch_stack import declare_missing_operators, device, import_stack
+from vlagents.policies import stack
+from vlagents.policies.stack import declare_missing_operators, device, import_stack
 
 
 class Library:
@@ -44,14 +44,14 @@ def torch(cuda: str | None = None, has_gpu: bool = False) -> Any:
 
 @pytest.fixture(autouse=True)
 def _undeclared(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch_stack, "_declared", [])
+    monkeypatch.setattr(stack, "_declared", [])
     monkeypatch.setattr(Library, "declared", [])
 
 
 def test_packages_come_in_order_and_a_missing_one_names_the_recipe(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", torch(cuda="12"))
     monkeypatch.setitem(sys.modules, "timm", ModuleType("timm"))
-    found = import_stack("openvla", "timm")
+    found = import_stack("openvla", "torch", "timm")
     assert [found[0].version.cuda, found[1].__name__] == ["12", "timm"]
     with pytest.raises(MissingStack, match="vlagents recipe openvla"):
         import_stack("openvla", "no_such_package")
@@ -85,7 +85,7 @@ def test_a_library_that_loads_needs_no_declaration(tmp_path: Path, monkeypatch: 
     spec.submodule_search_locations = [str(tmp_path)]
     (tmp_path / "_C.so").write_bytes(b"")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: spec)
-    monkeypatch.setattr(torch_stack.ctypes, "CDLL", lambda path: None)
+    monkeypatch.setattr(stack.ctypes, "CDLL", lambda path: None)
     declare_missing_operators(torch())
     assert not Library.declared
 
