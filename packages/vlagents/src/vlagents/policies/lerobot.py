@@ -154,7 +154,6 @@ class LerobotPolicy(SessionPolicy[Memory]):
         }
         check_parts("state", parts["state"], state)
         check_parts("action", parts["action"], action)
-        queues = getattr(self._model, "_queues", None) or {}
         images = (
             ImageSpec(camera, *map(int, config.input_features[key].shape[1:])) for key, camera in self._cameras.items()
         )
@@ -164,7 +163,7 @@ class LerobotPolicy(SessionPolicy[Memory]):
             state=parts["state"],
             images=tuple(images),
             needs_instruction=config.type in INSTRUCTED,
-            horizon=int(queues[ACTION].maxlen if self._is_remembering else config.chunk_size),
+            horizon=int(self._model._queues[ACTION].maxlen if self._is_remembering else config.chunk_size),
             rate=settings.rate,
             checkpoint=str(folder),
             checkpoint_hash=hash_of(folder, settings),

@@ -60,11 +60,10 @@ class ManiskillSimulator(Simulator):
         if driver.is_file() and not DRIVERS & os.environ.keys():
             os.environ["VK_ICD_FILENAMES"] = str(driver)
         make = importlib.import_module("gymnasium").make
-        options: dict[str, Any] = (
-            {"obs_mode": "rgb+state_dict", "sensor_configs": {"width": size, "height": size}} if images else {}
-        )
-        options = {"obs_mode": "state_dict", "render_backend": "cpu", "sim_backend": "physx_cpu", **options}
+        options: dict[str, Any] = {"obs_mode": "state_dict", "render_backend": "cpu", "sim_backend": "physx_cpu"}
         options |= {"control_mode": "pd_ee_delta_pose", "robot_uids": "panda", "max_episode_steps": steps}
+        if images:
+            options |= {"obs_mode": "rgb+state_dict", "sensor_configs": {"width": size, "height": size}}
         try:
             self._env: Any = make(task, num_envs=1, **options)
             first = self._seen(self._env.reset(seed=0)[0])

@@ -143,9 +143,8 @@ class FrameChannel(Channel):
         if sys.getrefcount(self._body) > 2:  # an array of the last message is still in use
             self._body = np.empty(0, np.uint8)
         while True:
-            self._link.need(1, rest)
-            if rest is deadline and begun is not None:
-                rest = Deadline(begun.seconds, "the rest of a message")
+            if rest is deadline:
+                rest = self._begun(deadline, begun)
             first, count, key = self._head(rest)
             opcode = first & 0x0F
             if opcode >= CLOSE:

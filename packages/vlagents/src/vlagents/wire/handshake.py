@@ -90,11 +90,10 @@ def ask(link: Link, address: str, headers: dict[str, str], deadline: Deadline) -
 def _head(link: Link, deadline: Deadline) -> bytes:
     """Take everything up to the first empty line; what comes behind it is of the websocket already."""
     count = 0
-    while True:
-        count = len(link.need(count + 1, deadline))
+    while count < LONGEST:
+        link.need(count + 1, deadline)
         found = bytes(link.ahead[:LONGEST]).find(b"\r\n\r\n")
         if found >= 0:
             return link.take(found + 4, deadline)
-        count = max(count, len(link.ahead))
-        if count >= LONGEST:
-            raise BadMessage(f"A handshake has more than {LONGEST} bytes.")
+        count = len(link.ahead)
+    raise BadMessage(f"A handshake has more than {LONGEST} bytes.")

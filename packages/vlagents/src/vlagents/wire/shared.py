@@ -127,12 +127,12 @@ class SharedChannel(StreamChannel):
         self._number += 1
         slot, self._slot = self._slot, (self._slot + 1) % SLOTS
         start = slot * self._slot_size
-        _set_number(memory, start, 0)  # a reader of this slot notices that it is over
+        _number(memory, start)[0] = 0  # a reader of this slot notices that it is over
         at = start + HEAD
         for part in parts:
             np.copyto(memory[at : at + len(part)], np.frombuffer(part, np.uint8))  # without Python's lock
             at += len(part)
-        _set_number(memory, start, self._number)
+        _number(memory, start)[0] = self._number
         place = PLACE.pack(self._number, slot, self._slot_size)
         frame = memoryview(PREFIX.pack(MAGIC, len(header), size) + place + header)
         if is_new:
@@ -173,11 +173,11 @@ class SharedChannel(StreamChannel):
         if self._theirs is None or slot_size != self._their_slot_size or slot >= SLOTS or size + HEAD > slot_size:
             raise BadMessage(f"A message of {size} bytes is said to be in slot {slot}, where there is no room for it.")
         start = slot * slot_size
-        if _number_at(self._theirs, start) != number:
+        if _number(self._theirs, start)[0] != number:
             raise BadMessage(f"Slot {slot} does not hold message {number}.")
         body = self._room(size)
         np.copyto(body, self._theirs[start + HEAD : start + HEAD + size])  # without Python's lock
-        if _number_at(self._theirs, start) != number:
+        if _number(self._theirs, start)[0] != number:
             raise BadMessage("The other side wrote over a message that was being read.")
         return unpack(header, body)
 
@@ -215,9 +215,6 @@ def peer_user(connection: socket.socket) -> int:
     return int(struct.unpack("3i", credentials)[1])
 
 
-def _set_number(memory: NDArray[np.uint8], start: int, number: int) -> None:
-    memory[start : start + 8].view(np.uint64)[0] = number
-
-
-def _number_at(memory: NDArray[np.uint8], start: int) -> int:
-    return int(memory[start : start + 8].view(np.uint64)[0])
+def _number(memory: NDArray[np.uint8], start: int) -> NDArray[np.uint64]:
+    """Return the number of the message in a slot, (1,), as it is in memory."""
+    return memory[start : start + 8].view(np.uint64)
