@@ -77,7 +77,7 @@ class Client(RemotePolicy):
         return chunk_from_values(self.call("infer", observation=observation_to_values(observation)).get("chunk"))
 
     def call(self, call: str, **given: Any) -> dict[str, Any]:
-        """Return the answer to a call; its large arrays are valid until the next one."""
+        """Return the answer to a call; its arrays are the caller's to keep."""
         with self._lock:
             return self._ask_over(self._connected(), call, given)
 

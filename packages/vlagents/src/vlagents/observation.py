@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vlagents.errors import InvalidInput
 from vlagents.jpeg import Jpeg
+from vlagents.metadata import PartSpec
 
 
 @dataclass(frozen=True)
@@ -62,16 +63,56 @@ class Observation:
         object.__setattr__(other, "session", session)
         return other
 
-    def image(self, name: str) -> NDArray[np.uint8]:
+    def image(self, name: str, height: int = 0, width: int = 0) -> NDArray[np.uint8]:
         """Return a camera's picture as an array (height, width, 3), decompressed where needed.
 
+        Args:
+            name: Name of the camera.
+            height: Height that a model needs [pixels]; 0 for any.
+            width: Width that a model needs [pixels]; 0 for any.
+
         Raises:
-            InvalidInput: There is no such camera, or its JPEG is damaged.
+            InvalidInput: There is no such camera, its JPEG is damaged, or the picture has another size.
         """
         if name not in self.images:
             raise InvalidInput(f"There is no image {name!r}; there are {sorted(self.images)}.")
-        image = self.images[name]
-        return image.decode() if isinstance(image, Jpeg) else image
+        return _sized(f"The image of {name!r}", self.images[name], height, width)
+
+    def goal(self, name: str, height: int = 0, width: int = 0) -> NDArray[np.uint8] | None:
+        """Return the goal's picture of a camera, as `image` does; None if there is none.
+
+        Raises:
+            InvalidInput: Its JPEG is damaged, or it has another size.
+        """
+        image = self.goals.get(name)
+        return None if image is None else _sized(f"The goal's image of {name!r}", image, height, width)
+
+    def numbers(self, parts: Sequence[PartSpec]) -> NDArray[np.float64]:
+        """Return parts of the state side by side, (n,).
+
+        Raises:
+            InvalidInput: One is missing or has another size.
+        """
+        found = []
+        for part in parts:
+            values = np.asarray(self.state.get(part.name, ()), np.float64)
+            if values.shape != (part.size,):
+                fault = f"has the shape {values.shape}" if part.name in self.state else "is missing"
+                raise InvalidInput(
+                    f"state[{part.name!r}] {fault}; valid is ({part.size},). There are {sorted(self.state)}."
+                )
+            found.append(values)
+        return np.concatenate(found) if found else np.zeros(0)
+
+
+def _sized(what: str, image: NDArray[np.uint8] | Jpeg, height: int, width: int) -> NDArray[np.uint8]:
+    array = image.decode() if isinstance(image, Jpeg) else image
+    if (height or width) and array.shape[:2] != (height, width):
+        raise InvalidInput(
+            f"{what} has {array.shape[0]} x {array.shape[1]} pixels; the model takes {height} x {width}. "
+            "`vlagents.around.Resized` around the client makes it fit."
+        )
+    return array
 
 
 def _check_image(name: str, image: object) -> None:

@@ -118,7 +118,7 @@ class RemotePolicy(Policy):
             BadMessage: The answer is no chunk.
             PolicyFailed: The policy failed.
         """
-        with self._lock:  # until the chunk is copied out of the answer's memory
+        with self._lock:
             return self._infer(observation)
 
     def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:

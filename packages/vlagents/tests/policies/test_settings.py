@@ -4,11 +4,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from vlagents import Chunk, InvalidInput, Metadata, Observation
 from vlagents.metadata import PartSpec
-from vlagents.policies import catalogue, inputs
+from vlagents.policies import catalogue
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import FILE, Settings, check_parts, chosen
 
@@ -77,26 +76,6 @@ def test_options_keep_their_type() -> None:
         settings.option("crop", False)
     with pytest.raises(InvalidInput, match="crop"):
         settings.check_options(("reach",))
-
-
-def test_numbers_come_side_by_side_in_the_order_of_the_parts() -> None:
-    observation = Observation(state={"gripper": np.ones(1), "joints": np.arange(3.0)})
-    parts = (PartSpec("joints", 3), PartSpec("gripper", 1))
-    assert inputs.numbers(observation, parts).tolist() == [0.0, 1.0, 2.0, 1.0]
-    with pytest.raises(InvalidInput, match="is missing"):
-        inputs.numbers(observation, (PartSpec("hand", 4),))
-    with pytest.raises(InvalidInput, match=r"shape \(3,\); valid is \(7,\)"):
-        inputs.numbers(observation, (PartSpec("joints", 7),))
-
-
-def test_a_picture_of_another_size_is_refused_where_the_model_has_one() -> None:
-    image = np.zeros((4, 6, 3), np.uint8)
-    observation = Observation(images={"side": image}, goals={"side": image})
-    assert inputs.picture(observation, "side") is image
-    assert inputs.goal(observation, "wrist") is None
-    for find in (inputs.picture, inputs.goal):
-        with pytest.raises(InvalidInput, match="4 x 6 pixels; the model takes 8 x 8"):
-            find(observation, "side", 8, 8)
 
 
 class Remembering(SessionPolicy[list[int]]):

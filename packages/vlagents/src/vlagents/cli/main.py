@@ -95,7 +95,13 @@ def _parser() -> argparse.ArgumentParser:
     measure = verbs.add_parser("bench", help="measure how long an answer takes")
     _add_address(measure, token)
     measure.add_argument("--calls", type=int, default=200, help="how many answers")
-    measure.add_argument("--image", action="append", default=[], metavar="HEIGHTxWIDTH", help="a picture of each call")
+    measure.add_argument(
+        "--image",
+        action="append",
+        default=[],
+        metavar="HEIGHTxWIDTH",
+        help="a picture of each call; by default those that the policy needs",
+    )
     measure.set_defaults(act=_bench)
     return parser
 
@@ -200,42 +206,29 @@ def _ping(given: Any) -> int:
 
 
 def _bench(given: Any) -> int:
+    """Print a JSON object with the median and the 99th percentile of a call's time; the first ten do not count."""
     with _client(given) as client:
-        print(bench(client, calls=given.calls, images=given.image))
-    return 0
-
-
-def bench(client: Policy, *, calls: int = 200, images: Sequence[str] = ()) -> str:
-    """Return a JSON object with the median and the 99th percentile of the time of a call [ms].
-
-    Args:
-        client: The policy to call.
-        calls: Number of calls, after ten that do not count.
-        images: Images of each call, as `HEIGHTxWIDTH`; by default those that the policy needs.
-
-    Raises:
-        InvalidInput: A size is wrong.
-    """
-    metadata = client.metadata()
-    random = np.random.default_rng(0)
-    sizes = {f"image {i}": _size(text) for i, text in enumerate(images)} or {
-        image.name: (image.height or 224, image.width or 224) for image in metadata.images
-    }
-    observation = Observation(
-        images={name: random.integers(0, 256, (*size, 3), np.uint8) for name, size in sizes.items()},
-        state={part.name: np.zeros(part.size) for part in metadata.state},
-        instruction="measure",
-        session="bench",
-    )
-    client.reset("bench", "measure")
-    seconds = []
-    for _ in range(calls + 10):
-        begin = time.perf_counter()
-        client.infer(observation)
-        seconds.append(time.perf_counter() - begin)
-    client.forget("bench")
+        metadata = client.metadata()
+        random = np.random.default_rng(0)
+        sizes = {f"image {i}": _size(text) for i, text in enumerate(given.image)} or {
+            image.name: (image.height or 224, image.width or 224) for image in metadata.images
+        }
+        observation = Observation(
+            images={name: random.integers(0, 256, (*size, 3), np.uint8) for name, size in sizes.items()},
+            state={part.name: np.zeros(part.size) for part in metadata.state},
+            instruction="measure",
+            session="bench",
+        )
+        client.reset("bench", "measure")
+        seconds = []
+        for _ in range(given.calls + 10):
+            begin = time.perf_counter()
+            client.infer(observation)
+            seconds.append(time.perf_counter() - begin)
+        client.forget("bench")
     half, most = 1e3 * np.quantile(seconds[10:], [0.5, 0.99])
-    return json.dumps({"calls": calls, "p50_ms": round(float(half), 3), "p99_ms": round(float(most), 3)})
+    print(json.dumps({"calls": given.calls, "p50_ms": round(float(half), 3), "p99_ms": round(float(most), 3)}))
+    return 0
 
 
 def _size(text: str) -> tuple[int, int]:

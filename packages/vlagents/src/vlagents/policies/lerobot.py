@@ -18,7 +18,6 @@ from vlagents.chunk import Chunk
 from vlagents.errors import InvalidInput
 from vlagents.metadata import ImageSpec, Metadata, PartSpec
 from vlagents.observation import Observation
-from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import FILE, Settings, check_parts
@@ -135,10 +134,10 @@ class LerobotPolicy(SessionPolicy[Memory]):
         """Return an observation as LeRobot's datasets have it, with an axis of one before the others."""
         found: dict[str, Any] = {}
         for key, image in zip(self._cameras, self._metadata.images, strict=True):
-            array = np.array(inputs.picture(observation, image.name, image.height, image.width))
+            array = np.array(observation.image(image.name, image.height, image.width))
             found[key] = self._torch.from_numpy(array).permute(2, 0, 1)[None].float() / 255
         if self._metadata.state:
-            values = inputs.numbers(observation, self._metadata.state)
+            values = observation.numbers(self._metadata.state)
             found[STATE] = self._torch.from_numpy(values).float()[None]
         return found
 

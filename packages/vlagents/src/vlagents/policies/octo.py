@@ -19,7 +19,6 @@ from vlagents.chunk import Chunk
 from vlagents.errors import InvalidInput
 from vlagents.metadata import ImageSpec, Metadata
 from vlagents.observation import Observation
-from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import DELTA_POSE, Settings, check_parts, chosen
@@ -122,11 +121,11 @@ class OctoPolicy(SessionPolicy[_Memory]):
 
     def _moment(self, observation: Observation) -> dict[str, NDArray[Any]]:
         moment: dict[str, NDArray[Any]] = {
-            name: np.array(inputs.picture(observation, self._settings.camera(name), *size))
+            name: np.array(observation.image(self._settings.camera(name), *size))
             for name, size in self._pictures.items()
         }
         if self._proprio:
-            values = inputs.numbers(observation, self._settings.state)
+            values = observation.numbers(self._settings.state)
             scale = self._statistics[PROPRIO]
             normal = (values - np.asarray(scale["mean"])) / (np.asarray(scale["std"]) + 1e-8)
             moment[PROPRIO] = np.where(scale.get("mask", True), normal, values).astype(np.float32)
@@ -136,7 +135,7 @@ class OctoPolicy(SessionPolicy[_Memory]):
         """Return the task as the model takes it: images of the goal where there are any, words otherwise, or both."""
         goals = {}
         for name, size in self._pictures.items():
-            image = inputs.goal(observation, self._settings.camera(name), *size)
+            image = observation.goal(self._settings.camera(name), *size)
             if image is not None:
                 goals[name] = np.array(image)[None]
         if not goals and self._metadata.needs_goal:

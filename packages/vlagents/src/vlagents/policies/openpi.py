@@ -21,7 +21,6 @@ from vlagents.chunk import Chunk
 from vlagents.errors import InvalidInput
 from vlagents.metadata import ImageSpec, Metadata, PartSpec
 from vlagents.observation import Observation
-from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import Settings, check_parts
@@ -165,10 +164,9 @@ class OpenpiPolicy(SessionPolicy[None]):
         """
         instruction = self._instruction(observation)
         images = {
-            key: np.array(inputs.picture(observation, self._settings.camera(key), SIZE, SIZE))
-            for key in self._layout.images
+            key: np.array(observation.image(self._settings.camera(key), SIZE, SIZE)) for key in self._layout.images
         }
-        state = self._layout.to_state(inputs.numbers(observation, self._layout.state))
+        state = self._layout.to_state(observation.numbers(self._layout.state))
         if self._client is not None:
             actions = self._client.infer(Observation(images, state, instruction)).actions
         else:

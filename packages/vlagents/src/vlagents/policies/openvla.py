@@ -18,7 +18,6 @@ from vlagents.chunk import Chunk
 from vlagents.errors import InvalidInput
 from vlagents.metadata import ImageSpec, Metadata
 from vlagents.observation import Observation
-from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import DELTA_POSE, Settings, check_parts, chosen
@@ -94,7 +93,7 @@ class OpenvlaPolicy(SessionPolicy[None]):
             InvalidInput: There is no image, or no instruction.
         """
         instruction = self._instruction(observation)
-        image = picture_for(inputs.picture(observation, self._camera), self._is_cropped)
+        image = picture_for(observation.image(self._camera), self._is_cropped)
         given = self._processor(prompt(self._prompt, instruction), image).to(self._device, dtype=self._precision)
         end_with_empty(self._torch, given)
         with self._torch.inference_mode():

@@ -24,7 +24,6 @@ from vlagents.chunk import Chunk
 from vlagents.errors import InvalidInput, MissingStack
 from vlagents.metadata import ImageSpec, Metadata, PartSpec
 from vlagents.observation import Observation
-from vlagents.policies import inputs
 from vlagents.policies.catalogue import hash_of
 from vlagents.policies.sessions import SessionPolicy
 from vlagents.policies.settings import DELTA_POSE, Settings
@@ -150,9 +149,9 @@ class Vjepa2AcPolicy(SessionPolicy[_Memory]):
             InvalidInput: An image or a part of the state is missing, or there is no goal.
         """
         memory = self._session(observation).memory
-        pose = inputs.numbers(observation, STATE)
+        pose = observation.numbers(STATE)
         with self._torch.inference_mode():
-            here = self._features(inputs.picture(observation, self._camera))
+            here = self._features(observation.image(self._camera))
             motion = self._plan(here, self._goal(observation, memory), pose, memory.generator)
         steps = np.zeros((self._search["horizon"], 7))
         steps[:, :3] = motion[:, :3]
@@ -162,7 +161,7 @@ class Vjepa2AcPolicy(SessionPolicy[_Memory]):
 
     def _goal(self, observation: Observation, memory: _Memory) -> Any:
         """Return the goal's features; an unchanged image is not encoded again."""
-        image = inputs.goal(observation, self._camera)
+        image = observation.goal(self._camera)
         if image is None:
             if memory.goal is None:
                 raise InvalidInput(

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from vlagents.client import Client
 from vlagents.errors import BadMessage, InvalidInput
 from vlagents.metadata import Offer
-from vlagents.observation import Observation
 from vlagents.simulators.interface import Facts, Moment
 from vlagents.simulators.mapping import SimulatorMapping
 from vlagents.wire.calls import observation_from_values
@@ -90,11 +89,9 @@ class SimulatorClient:
         if {name: len(part) for name, part in seen.state.items()} != sizes:
             raise InvalidInput(f"The simulator sent the state {sorted(seen.state)}; announced are {sizes}.")
         shapes = {image.name: (image.height, image.width, 3) for image in self.offer.images}
-        images = {name: np.array(seen.image(name)) for name in seen.images}  # the wire's memory is used again
-        if {name: image.shape for name, image in images.items()} != shapes:
-            raise InvalidInput(f"The simulator sent images {sorted(images)}; announced are {shapes}.")
-        state = {name: np.array(part) for name, part in seen.state.items()}
-        return Moment(Observation(images, state, seen.instruction, time=seen.time), reward, success, is_over)
+        if {name: seen.image(name).shape for name in seen.images} != shapes:
+            raise InvalidInput(f"The simulator sent images {sorted(seen.images)}; announced are {shapes}.")
+        return Moment(seen, reward, success, is_over)
 
     def __enter__(self) -> SimulatorClient:
         """Return the client, which is closed at the end of the block."""
