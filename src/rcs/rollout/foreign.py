@@ -35,8 +35,7 @@ from rcs.rollout.serving import ServerProcess
 
 if TYPE_CHECKING:
     from vlagents.simulators.client import SimulatorClient
-    from vlagents.simulators.interface import Moment
-    from vlagents.simulators.mapping import SimulatorMapping
+    from vlagents.simulators.interface import Moment, SimulatorMapping
 
 ENVIRONMENTS = Path("build/interop")
 """Where `make sims` makes an environment for each simulator."""
@@ -119,7 +118,7 @@ class ForeignSimulator:
             return None
         try:
             values = json.loads(self.mapping.read_text("utf-8"))
-            return vlagents("vlagents.simulators.mapping").SimulatorMapping.from_dict(values)
+            return vlagents("vlagents.simulators.interface").SimulatorMapping.from_dict(values)
         except (OSError, ValueError, RecursionError) as err:
             raise InvalidSetup(f"{self.mapping} has no mapping of a simulator: {err}") from err
 

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from vlagents import Client, InvalidInput, Observation, PolicyFailed, Server
 from vlagents.errors import MissingSimulator, SimulatorTaken
 from vlagents.simulators.client import SimulatorClient
-from vlagents.simulators.interface import Facts
-from vlagents.simulators.mapping import PartMap, SimulatorMapping
+from vlagents.simulators.interface import Facts, PartMap, SimulatorMapping
 from vlagents.simulators.served import BUILT_IN, ServedSimulator, load
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vlagents import ImageSpec, Observation, PartSpec
 from vlagents.lookup import unknown
-from vlagents.simulators.interface import Facts, Moment, Simulator
-from vlagents.simulators.mapping import ImageMap, PartMap, SimulatorMapping
+from vlagents.simulators.interface import Facts, ImageMap, Moment, PartMap, Simulator, SimulatorMapping
 
 TASKS = ("near", "far")
 STARTS = 4

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from vlagents.client import Client
 from vlagents.errors import BadMessage, InvalidInput
 from vlagents.metadata import Offer
-from vlagents.simulators.interface import Facts, Moment
-from vlagents.simulators.mapping import SimulatorMapping
+from vlagents.simulators.interface import Facts, Moment, SimulatorMapping
 from vlagents.wire.calls import observation_from_values
 
 

@@ -25,8 +25,7 @@ from vlagents.errors import InvalidInput
 from vlagents.lookup import unknown
 from vlagents.metadata import ImageSpec, PartSpec
 from vlagents.observation import Observation
-from vlagents.simulators.interface import Facts, Moment, Simulator
-from vlagents.simulators.mapping import ImageMap, PartMap, SimulatorMapping
+from vlagents.simulators.interface import Facts, ImageMap, Moment, PartMap, Simulator, SimulatorMapping
 
 CAMERAS = {"agentview_image": "agentview", "robot0_eye_in_hand_image": "wrist"}
 STEPS = {"libero_spatial": 220, "libero_object": 280, "libero_goal": 300, "libero_10": 520, "libero_90": 400}

@@ -22,8 +22,7 @@ from vlagents.errors import InvalidInput
 from vlagents.lookup import unknown
 from vlagents.metadata import ImageSpec, PartSpec
 from vlagents.observation import Observation
-from vlagents.simulators.interface import Facts, Moment, Simulator
-from vlagents.simulators.mapping import ImageMap, PartMap, SimulatorMapping
+from vlagents.simulators.interface import Facts, ImageMap, Moment, PartMap, Simulator, SimulatorMapping
 
 DRIVER = "vulkan/lvp_icd.json"
 """Where `make sims` describes a Vulkan driver for CPUs, in the environment's folder."""

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from vlagents.lookup import unknown
 from vlagents.metadata import ImageSpec, PartSpec
 from vlagents.observation import Observation
-from vlagents.simulators.interface import Facts, Moment, Simulator
-from vlagents.simulators.mapping import Flip, ImageMap, PartMap, SimulatorMapping
+from vlagents.simulators.interface import Facts, Flip, ImageMap, Moment, PartMap, Simulator, SimulatorMapping
 
 STEPS = 500
 """`SawyerXYZEnv.max_path_length`: a step more raises an error."""

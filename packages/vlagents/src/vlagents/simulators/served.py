@@ -19,8 +19,7 @@ from vlagents.lookup import find, prepared, unknown
 from vlagents.metadata import Metadata
 from vlagents.observation import Observation
 from vlagents.policy import Policy
-from vlagents.simulators.interface import Moment, Simulator
-from vlagents.simulators.mapping import SimulatorMapping
+from vlagents.simulators.interface import Moment, Simulator, SimulatorMapping
 from vlagents.wire.calls import observation_to_values
 
 BUILT_IN = {
