@@ -12,7 +12,7 @@ import socket
 import ssl
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -167,17 +167,10 @@ class Link:
         """
         waiting = [part for part in parts if len(part)]
         while waiting:
-            try:
-                if self._tls is None:
-                    count = self._socket.sendmsg(waiting[:MOST_PARTS])
-                else:  # one buffer at a time
-                    count = self._tls.send(waiting[0][: 1 << 20])
-            except (BlockingIOError, ssl.SSLWantWriteError):
-                self._await(self._to_write, deadline)
-                continue
-            except ssl.SSLWantReadError:
-                self._await(self._to_read, deadline)
-                continue
+            if self._tls is None:
+                count = self._once_ready(self._to_write, deadline, self._socket.sendmsg, waiting[:MOST_PARTS])
+            else:  # one buffer at a time
+                count = self._once_ready(self._to_write, deadline, self._tls.send, waiting[0][: 1 << 20])
             while waiting and count >= len(waiting[0]):
                 count -= len(waiting.pop(0))
             if count:
@@ -201,26 +194,28 @@ class Link:
         self._socket.close()
 
     def _read(self, view: memoryview, deadline: Deadline) -> int:
-        while True:
-            try:
-                count = self._read_now(view)
-            except (BlockingIOError, ssl.SSLWantReadError):
-                self._await(self._to_read, deadline)
-                continue
-            except ssl.SSLWantWriteError:
-                self._await(self._to_write, deadline)
-                continue
-            if not count:
-                raise ConnectionLost("The other side has closed the connection.")
-            return count
+        count = self._once_ready(self._to_read, deadline, self._read_now, view)
+        if not count:
+            raise ConnectionLost("The other side has closed the connection.")
+        return count
 
     def _read_now(self, view: memoryview) -> int:
         return self._socket.recv_into(view)
 
-    def _await(self, what: select.poll, deadline: Deadline) -> None:
-        left = deadline.left()
-        if not what.poll(None if left is None else 1e3 * left):
-            raise deadline.exceeded()
+    def _once_ready(self, ready: select.poll, deadline: Deadline, act: Callable[..., int], *arguments: Any) -> int:
+        """Return the result of a call that reads or writes: it is tried first, and again whenever it can go on."""
+        while True:
+            try:
+                return act(*arguments)
+            except BlockingIOError:
+                waits = ready
+            except ssl.SSLWantReadError:
+                waits = self._to_read
+            except ssl.SSLWantWriteError:
+                waits = self._to_write
+            left = deadline.left()
+            if not waits.poll(None if left is None else 1e3 * left):
+                raise deadline.exceeded()
 
 
 class Channel(ABC):

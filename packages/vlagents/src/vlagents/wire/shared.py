@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from vlagents.address import Address
 from vlagents.errors import BadMessage
 from vlagents.wire.link import LARGEST_BODY, Deadline, Link
-from vlagents.wire.message import pack, unpack
+from vlagents.wire.message import unpack
 from vlagents.wire.stream import PREFIX, StreamChannel
 
 MAGIC = b"VLAS"
@@ -56,12 +56,7 @@ class UnixLink(Link):
 
     def send_file(self, frame: memoryview, file: int, deadline: Deadline) -> None:
         """Send a frame and a file with it."""
-        while True:
-            try:
-                count = socket.send_fds(self._socket, [frame], [file])
-                break
-            except BlockingIOError:
-                self._await(self._to_write, deadline)
+        count = self._once_ready(self._to_write, deadline, socket.send_fds, self._socket, [frame], [file])
         self.send([frame[count:]], deadline)
 
     def close(self) -> None:
@@ -99,13 +94,6 @@ class SharedChannel(StreamChannel):
         self._theirs: NDArray[np.uint8] | None = None
         self._their_slot_size = 0
 
-    def send(self, values: Any, deadline: Deadline) -> None:
-        """Send a message, through the memory if it is large."""
-        header, parts, size = pack(values)
-        self._check_header(header)
-        with self.guarded():
-            (self._send_inline if size < LEAST else self._send_shared)(header, parts, size, deadline)
-
     def close(self) -> None:
         """Close the socket and let go of the memory."""
         super().close()
@@ -118,7 +106,10 @@ class SharedChannel(StreamChannel):
         """Begin with the first slot again."""
         self._slot = 0
 
-    def _send_shared(self, header: bytes, parts: list[memoryview], size: int, deadline: Deadline) -> None:
+    def _send(self, header: bytes, parts: list[memoryview], size: int, deadline: Deadline) -> None:
+        if size < LEAST:
+            super()._send(header, parts, size, deadline)
+            return
         is_new = self._own is None or size + HEAD > self._slot_size
         if is_new:
             self._make(size + HEAD)

@@ -42,9 +42,10 @@ class StreamChannel(Channel):
             ConnectionLost: It has gone.
         """
         header, parts, size = pack(values)
-        self._check_header(header)
+        if len(header) > LARGEST_HEADER:
+            raise BadMessage(f"A header of {len(header)} bytes is too large; valid are up to {LARGEST_HEADER}.")
         with self.guarded():
-            self._send_inline(header, parts, size, deadline)
+            self._send(header, parts, size, deadline)
 
     def wait(self, seconds: float | None) -> bool:
         """Wait until a message begins to come or the connection ends; return whether it did in that time [s]."""
@@ -53,13 +54,9 @@ class StreamChannel(Channel):
     def settled(self) -> None:
         """Say that every message which was sent has been read: there is an answer to each."""
 
-    def _send_inline(self, header: bytes, parts: list[memoryview], size: int, deadline: Deadline) -> None:
+    def _send(self, header: bytes, parts: list[memoryview], size: int, deadline: Deadline) -> None:
         prefix = PREFIX.pack(MAGIC, len(header), size)
         self._link.send([memoryview(prefix + header), *parts], deadline)
-
-    def _check_header(self, header: bytes) -> None:
-        if len(header) > LARGEST_HEADER:
-            raise BadMessage(f"A header of {len(header)} bytes is too large; valid are up to {LARGEST_HEADER}.")
 
     def _receive(self, deadline: Deadline, begun: Deadline | None) -> Any:
         rest = self._begun(deadline, begun)
