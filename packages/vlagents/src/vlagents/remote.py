@@ -135,9 +135,8 @@ class RemotePolicy(Policy):
 
     def forget(self, session: str) -> None:
         """Forget a session, here and on a server that remembers it."""
-        with self._lock:
-            self._instructions.pop(session, None)
-            self._tell("forget", session=session)
+        self._instructions.pop(session, None)
+        self._tell("forget", session=session)
 
     def close(self) -> None:
         """End the connection. A server of vlagents forgets this client's sessions."""
