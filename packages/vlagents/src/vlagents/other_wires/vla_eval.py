@@ -67,9 +67,8 @@ class VlaEvalServer(WebsocketServer):
     def _reply(self, guest: Guest, kind: object, payload: Mapping[str, Any]) -> tuple[str, dict[str, Any]] | None:
         metadata, rows = self.service.metadata, self._rows[guest]
         if kind == "hello":
-            from vlagents import __version__
-
-            hello = {"harness_version": f"vlagents {__version__}", "protocol_version": PROTOCOL}
+            own = f"vlagents {self.service.health()['version']}"
+            hello = {"harness_version": own, "protocol_version": PROTOCOL}
             # Benchmarks that have such options show what the policy needs.
             shown = {
                 "send_state": bool(metadata.state),
