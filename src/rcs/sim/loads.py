@@ -22,7 +22,7 @@ class SimLoads:
         self._world = robot.world
         self._dof = robot.placement.arm.dof
         self._first = robot.world.core.measure(ArmLoads(_body(robot)))
-        robot.world.update_readouts()
+        robot.world.refresh()
 
     @property
     def joint_torques(self) -> NDArray[np.float64]:

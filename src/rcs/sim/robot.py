@@ -111,7 +111,7 @@ class SimRobot:
             self._opening = world.core.read_opening(self.layout.finger_joint_ids, closed, opened)
             self._closed = robot.gripper.ctrl_closed
             self._span = robot.gripper.ctrl_open - robot.gripper.ctrl_closed
-        world.update_readouts()
+        world.refresh()
 
     @property
     def _memory(self) -> NDArray[np.float64]:

@@ -234,7 +234,7 @@ def read_force(world: World, placement: TactilePlacement) -> int:
     """
     is_gel = world.geom_flags([placement.gel_name])
     index = world.core.read_force(is_gel, 1 - is_gel)
-    world.update_readouts()
+    world.refresh()
     return index
 
 

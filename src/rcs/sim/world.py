@@ -111,7 +111,6 @@ class World:
         self._nominal: dict[str, NDArray[Any]] = {}
         self._fields: dict[str, NDArray[Any]] = {}
         self._readouts: _Readouts | None = None
-        self._is_read = False
         self._scratch: mujoco.MjData | None = None
 
     def close(self) -> None:
@@ -166,26 +165,18 @@ class World:
     def read_pose(self, body: str, frame: str = "world") -> int:
         """Register the pose of a body in the frame of another one; return its index in `poses`.
 
-        It is valid from the next step or `refresh` on; at once if readouts have been used before (`update_readouts`).
+        It is valid at once; forces are 0 until the next step.
 
         Raises:
             KeyError: A body is not in the model.
         """
         index = self.core.read_body_pose(self.model.body(body).id, self.model.body(frame).id)
-        self.update_readouts()
+        self.refresh()
         return index
-
-    def update_readouts(self) -> None:
-        """Have the arrays of readouts include those that were added to `core`; to be called after adding some.
-
-        If the arrays have been used before, all readouts are refreshed: forces are then 0 until the next step.
-        """
-        if self._is_read:
-            self.refresh()
 
     def _read_out(self) -> _Readouts:
         """Take views of the readouts."""
-        self._is_read, core = True, self.core
+        core = self.core
         self._readouts = _Readouts(core.poses, core.xyzrpy, core.forces, core.openings, core.measurements)
         return self._readouts
 
@@ -244,8 +235,8 @@ class World:
         self.core.reset(*_chosen(copies))
 
     def refresh(self, copies: Copies = None) -> None:
-        """Recompute the readouts (poses, forces) after writing the state."""
-        self._readouts = None  # some may have been added
+        """Recompute the readouts (poses, forces) after writing the state, or after adding some to `core`."""
+        self._readouts = None
         self.core.refresh(*_chosen(copies))
 
     def save(self, copies: Copies = None) -> NDArray[np.float64]:

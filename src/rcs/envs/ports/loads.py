@@ -65,7 +65,7 @@ class SimContactPort(Port):
         own = world.subtree_flags(placement.base_body)[: world.model.ngeom]
         self._world = world
         self._first = world.core.measure(FingerContacts(world.model, flags, own, TOUCH_FORCE))
-        world.update_readouts()
+        world.refresh()
         self._last = self._first + len(fingers)
         self.observation_spaces = {
             keys.FINGER_CONTACTS: keys.flags_space(len(fingers)),
@@ -103,7 +103,7 @@ class PrivilegedPort(Port):
                 f"{', '.join(sorted(task.objects()))}."
             )
         self._objects = {name: _motion_of(world, robots, task, name) for name in poses}
-        world.update_readouts()
+        world.refresh()
         own = keys.object_space()
         self.observation_spaces = {keys.PRIVILEGED: spaces.Dict(dict.fromkeys(self._objects, own))}
 
