@@ -58,7 +58,7 @@ def board_poses(board: Board, detections: Detections, intrinsics: Intrinsics) ->
         fits = pose.fits if pose.fits.any() else np.ones(len(rays), bool)
         better = _judged(_refined(pose.board_in_camera, points[fits], rays[fits]), points, rays, focal)
         best = min(better, pose, key=_cost)
-        if all(_angle(best.board_in_camera, other.board_in_camera) > FLIPPED for other in found):
+        if all(angle(best.board_in_camera, other.board_in_camera) > FLIPPED for other in found):
             found.append(best)
     return sorted(found, key=_cost)[:2]
 
@@ -72,6 +72,11 @@ def project(board_in_camera: NDArray[np.float64], points: NDArray[np.float64]) -
     """
     seen = points @ np.swapaxes(board_in_camera[..., :3, :3], -1, -2) + board_in_camera[..., None, :3, 3]
     return seen[..., :2] / np.where(np.abs(seen[..., 2:]) < 1e-6, 1e-6, seen[..., 2:])
+
+
+def angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Return the angle between two poses, (4, 4) each [rad]."""
+    return float(np.arccos(np.clip((np.trace(a[:3, :3].T @ b[:3, :3]) - 1) / 2, -1.0, 1.0)))
 
 
 def limit_of(errors: NDArray[np.float64]) -> float:
@@ -94,7 +99,7 @@ def _errors(pose: NDArray[np.float64], points: Any, rays: Any, focal: float) -> 
 def _judged(pose: NDArray[np.float64], points: Any, rays: Any, focal: float) -> BoardPose:
     errors = _errors(pose, points, rays, focal)
     fits = errors < FAR
-    return BoardPose(pose, float(np.sqrt(np.mean(errors[fits] ** 2))) if fits.any() else float("inf"), fits)
+    return BoardPose(pose, rms(errors[fits]) if fits.any() else float("inf"), fits)
 
 
 def _cost(pose: BoardPose) -> tuple[int, float]:
@@ -126,7 +131,3 @@ def _refined(pose: NDArray[np.float64], points: NDArray[np.float64], rays: NDArr
     refined = np.eye(4)
     refined[:3, :3], refined[:3, 3] = cv2.Rodrigues(rotation)[0], translation[:, 0]
     return refined if np.isfinite(refined).all() else pose
-
-
-def _angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    return float(np.arccos(np.clip((np.trace(a[:3, :3].T @ b[:3, :3]) - 1) / 2, -1.0, 1.0)))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.calibration.board import Board
-from rcs.calibration.board_pose import BoardPose, board_poses
+from rcs.calibration.board_pose import BoardPose, angle, board_poses
 from rcs.calibration.fit import Guess, Sightings, tag_errors
 from rcs.calibration.rig import Arrangement, View
 from rcs.errors import InvalidSetup
@@ -117,7 +117,7 @@ def start(board: Board, views: Sequence[View], arrangement: Arrangement, intrins
     best: tuple[float, Guess] | None = None
     for _ in range(TRIES if len(usable) >= 3 else 0):
         triple = rng.choice(usable, 3, replace=False)
-        if _least_turn(anchors[triple]) < TURNED:
+        if min(angle(a, b) for a, b in combinations(anchors[triple], 2)) < TURNED:
             continue
         boards = np.array([_one(poses[i], rng).board_in_camera for i in triple])
         camera = camera_in_mount(anchors[triple], boards)
@@ -138,9 +138,3 @@ def start(board: Board, views: Sequence[View], arrangement: Arrangement, intrins
 def _one(found: list[BoardPose], rng: np.random.Generator) -> BoardPose:
     """Return the more likely pose, or sometimes the other."""
     return found[-1] if rng.random() < 0.2 else found[0]
-
-
-def _least_turn(anchors: np.ndarray) -> float:
-    pairs = [(0, 1), (0, 2), (1, 2)]
-    cosines = [(np.trace(anchors[i, :3, :3].T @ anchors[j, :3, :3]) - 1) / 2 for i, j in pairs]
-    return float(np.arccos(np.clip(max(cosines), -1.0, 1.0)))

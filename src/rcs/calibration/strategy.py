@@ -79,7 +79,7 @@ def suggest(
         return None
     known = _information(guess, seen) if len(seen) else np.zeros((12, 12))
     known += np.diag(np.tile([UNSURE[0] ** -2.0] * 3 + [UNSURE[1] ** -2.0] * 3, 2))
-    gains = [_log_determinant(known + one) for one in _informations(guess, board, anchors[chosen], rig)]
+    gains = [float(np.linalg.slogdet(known + one)[1]) for one in _informations(guess, board, anchors[chosen], rig)]
     for i in np.argsort(gains)[::-1]:
         if is_free is None or is_free(joints[-1], drawn[chosen[i]]):
             return drawn[chosen[i]]
@@ -140,10 +140,6 @@ def _informations(guess: Guess, board: Board, anchors: NDArray[np.float64], rig:
 def _information(guess: Guess, seen: Sightings) -> NDArray[np.float64]:
     slopes = jacobian(replace(guess, given=None), seen) / NOISE
     return slopes.T @ slopes
-
-
-def _log_determinant(matrix: NDArray[np.float64]) -> float:
-    return float(np.linalg.slogdet(matrix)[1])
 
 
 ENOUGH = 5

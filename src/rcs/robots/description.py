@@ -19,18 +19,7 @@ from rcs_data.options import INFINITE, Meta, NotNegative, Positive, Record, Shar
 
 from rcs._core import ArmLimits, MotionLimits
 from rcs.errors import InvalidSetup
-from rcs.robots.mount import Mount
-
-__all__ = [
-    "ArmDescription",
-    "CollisionLimits",
-    "Description",
-    "GripperDescription",
-    "HandDescription",
-    "MenagerieBody",
-    "MenagerieVisuals",
-    "Mount",
-]
+from rcs.robots.mount import Mount as Mount
 
 Limit = Annotated[float, Meta(gt=0), INFINITE]
 Loads = Literal["outer", "drive"]

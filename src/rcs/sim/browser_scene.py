@@ -130,8 +130,10 @@ class BrowserScene:
             for shape in shapes_of(self._model, self._seen)
             if not (shape.body == 0 and shape.name.endswith(WALLS))
         }
-        for name in [name for name, (shape, _) in self._shown.items() if not _looks_like(shape, shapes.get(name))]:
-            self._shown.pop(name)[1].remove()
+        for name, (shape, handle) in list(self._shown.items()):
+            if name not in shapes or shapes[name].look != shape.look:
+                handle.remove()
+                del self._shown[name]
         for name, shape in shapes.items():
             if name not in self._shown:
                 self._shown[name] = shape, self._add(shape)
@@ -217,10 +219,6 @@ class BrowserScene:
             self._arrows.points, self._arrows.visible = arrows.astype(np.float32), True
 
 
-def _looks_like(shape: Shape, other: Shape | None) -> bool:
-    return other is not None and shape.look == other.look
-
-
 def _node(name: str) -> str:
     """Return a name of MuJoCo's as one level of a path: its slashes would make another tree than the bodies'."""
     return name.replace("/", " \u00b7 ")
@@ -275,7 +273,8 @@ def shapes_of(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
 
 def soft_vertices(model: mujoco.MjModel, data: mujoco.MjData, flex: int) -> NDArray[np.float32]:
     """Return where the vertices of a soft body are in the world now, (n, 3) [m]."""
-    return data.flexvert_xpos[_vertices_of(model, flex)].astype(np.float32)
+    first, count = int(model.flex_vertadr[flex]), int(model.flex_vertnum[flex])
+    return data.flexvert_xpos[first : first + count].astype(np.float32)
 
 
 def contact_arrows(model: mujoco.MjModel, data: mujoco.MjData, metres_per_newton: float) -> NDArray[np.float32]:
@@ -317,11 +316,6 @@ def colour_of(model: mujoco.MjModel, own: NDArray[np.float32], material: int) ->
             rgba[:3] *= pixels[:, :3].mean(axis=0) / 255.0
     red, green, blue, alpha = np.round(np.clip(rgba, 0.0, 1.0), 6)
     return float(red), float(green), float(blue), float(alpha)
-
-
-def _vertices_of(model: mujoco.MjModel, flex: int) -> slice:
-    first = int(model.flex_vertadr[flex])
-    return slice(first, first + int(model.flex_vertnum[flex]))
 
 
 def _triangles_of(model: mujoco.MjModel, flex: int) -> NDArray[np.uint32]:

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcs._core import ArmLimits, GripperMap, JointsAtRest, Motion, SimArm, SimGripper, Trajectory
+from rcs._core import GripperMap, JointsAtRest, Motion, SimArm, SimGripper, Trajectory
 from rcs.errors import InvalidSetup
 from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.robot_model import LOAD, LOAD_MASS, springs_of
@@ -197,19 +197,16 @@ class SimRobot:
         memory[..., : self.placement.arm.dof] = self.joints
         memory[..., -1] = 1.0
 
-    def _stand(self, joints: NDArray[np.float64], copies: Copies = None) -> None:
-        dof, memory = self.placement.arm.dof, self._memory
-        memory[_at(slice(0, Trajectory.size(dof)), copies)] = 0.0
-        for row in Trajectory.POSITION_ROWS:
-            memory[_at(slice(row * dof, (row + 1) * dof), copies)] = joints
-
     def _place(self, joints: NDArray[np.float64], copies: Copies = None) -> None:
         world, layout = self.world, self.layout
         world.qpos[_at(layout.qpos, copies)] = joints
         world.qvel[_at(layout.qvel, copies)] = 0.0
         is_motor = self.placement.compliance is not None and self.placement.compliance.is_of_tcp
         world.ctrl[_at(np.array(layout.actuator_ids), copies)] = 0.0 if is_motor else joints
-        self._stand(joints, copies)
+        dof, memory = self.placement.arm.dof, self._memory
+        memory[_at(slice(0, Trajectory.size(dof)), copies)] = 0.0
+        for row in Trajectory.POSITION_ROWS:
+            memory[_at(slice(row * dof, (row + 1) * dof), copies)] = joints
 
     def command_opening(self, opening: NDArray[np.floating]) -> None:
         """Set the gripper's opening, 0 closed … 1 open, (*leading, 1)."""
@@ -306,9 +303,7 @@ class SimRobot:
 
     def arm(self, copy: int = 0) -> SimArm:
         """Return the arm of one copy as a device, closed."""
-        arm = self.placement.arm
-        limits = ArmLimits(list(arm.joint_lower), list(arm.joint_upper), list(arm.velocity_limit))
-        return SimArm(self.placement.name, limits, self.world.core, copy, self.motion)
+        return SimArm(self.placement.name, self.placement.arm.arm_limits, self.world.core, copy, self.motion)
 
     def gripper_device(self, copy: int = 0) -> SimGripper:
         """Return the gripper of one copy as a device, closed.

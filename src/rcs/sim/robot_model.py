@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -85,21 +84,6 @@ def add_load(spec: mujoco.MjSpec, arm: ArmDescription) -> None:
     ).set_frame(flange)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sag:
-    """How far a robot sags below its home pose while its servos hold it."""
-
-    joints: NDArray[np.float64]
-    """Sag of each joint, (dof,) [rad]; infinite for a joint without a position servo."""
-    tcp: float
-    """Sag of the TCP [m]."""
-
-    @property
-    def is_small(self) -> bool:
-        """True if neither a joint nor the TCP sags noticeably."""
-        return bool(np.abs(self.joints).max() <= MAX_JOINT_SAG) and self.tcp <= MAX_TCP_SAG
-
-
 def check_robot(robot: RobotPlacement, model: mujoco.MjModel) -> None:
     """Check that the base is where the robot was placed, and warn if its servos cannot carry its weight.
 
@@ -111,31 +95,35 @@ def check_robot(robot: RobotPlacement, model: mujoco.MjModel) -> None:
         InvalidSetup: Its base body has a pose in its file.
     """
     _require_base(robot, _at_home(robot, model))
-    sag = sag_of(robot, model)
-    if robot.compliance is None and not sag.is_small:
-        worst = int(np.abs(sag.joints).argmax())
+    joints, tcp = sag_of(robot, model)
+    worst = int(np.abs(joints).argmax())
+    if robot.compliance is None and (abs(joints[worst]) > MAX_JOINT_SAG or tcp > MAX_TCP_SAG):
         warnings.warn(
             f"Robot {robot.name!r} sags: while holding its home pose, joint {robot.arm.joints[worst]!r} gives way by  "
-            f"{abs(sag.joints[worst]):.3g} rad and the TCP by {1e3 * sag.tcp:.2g} mm, so that it misses what it "
+            f"{abs(joints[worst]):.3g} rad and the TCP by {1e3 * tcp:.2g} mm, so that it misses what it "
             f'reaches for. Add gravcomp="1" to every body in {robot.arm.mjcf_file} if its controller compensates '
             "the weight, or raise the servos' gain (kp).",
             stacklevel=3,
         )
 
 
-def sag_of(robot: RobotPlacement, model: mujoco.MjModel) -> Sag:
-    """Return how far a robot sags at home: uncompensated weight over the servos' stiffness."""
+def sag_of(robot: RobotPlacement, model: mujoco.MjModel) -> tuple[NDArray[np.float64], float]:
+    """Return how far a robot sags while its servos hold it at home: uncompensated weight over their stiffness.
+
+    Returns:
+        Sag of each joint, (dof,) [rad], infinite for one without a position servo; and of the TCP [m].
+    """
     data = _at_home(robot, model)
     dofs = [int(model.joint(robot.prefix + name).dofadr[0]) for name in robot.arm.joints]
     servos = [model.actuator(robot.prefix + name).id for name in robot.arm.actuators]
     missing = (data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias)[dofs]
     stiffness = -model.actuator_biasprm[servos, 1]
     if (stiffness <= 0.0).any():  # without a position servo nothing holds the joint
-        return Sag(joints=np.where(stiffness > 0.0, 0.0, np.inf), tcp=np.inf)
+        return np.where(stiffness > 0.0, 0.0, np.inf), np.inf
     jacobian = np.zeros((3, model.nv))
     mujoco.mj_jacSite(model, data, jacobian, None, model.site(robot.tcp_site).id)
     joints = missing / stiffness
-    return Sag(joints=joints, tcp=float(np.linalg.norm(jacobian[:, dofs] @ joints)))
+    return joints, float(np.linalg.norm(jacobian[:, dofs] @ joints))
 
 
 def _at_home(robot: RobotPlacement, model: mujoco.MjModel) -> mujoco.MjData:

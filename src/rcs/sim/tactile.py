@@ -8,7 +8,7 @@ by default the measured contact force determines the indentation. Soft bodies (f
 from __future__ import annotations
 
 import copy as copying
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
@@ -18,9 +18,6 @@ from rcs.errors import InvalidSetup
 from rcs.sim.gel import Gel, GelImage, GelLight
 from rcs.sim.tactile_mounts import UNFELT_GROUP, TactilePlacement
 from rcs.sim.world import World
-
-if TYPE_CHECKING:
-    from rcs.sim.tacto import Tacto
 
 Indentation = Literal["force", "geometry"]
 """Source of the indentation. `force`: the normal force on the gel, in proportion up to the sensor's largest.
@@ -76,7 +73,12 @@ class SimTactile:
         self.gel = Gel(placement.sensor)
         self._world = world
         self._by_force = indentation == "force"
-        self._renderer = _renderer(placement, self.gel, look, background)
+        if look == "tacto":
+            from rcs.sim.tacto import Tacto  # needs packages that most users do not have
+
+            self._renderer = Tacto(placement.sensor, self.gel)
+        else:
+            self._renderer = GelLight(placement.sensor, self.gel, background)
         self._noise = None if noise_seed is None else np.random.default_rng(noise_seed)
         model = world.model
         try:
@@ -126,7 +128,9 @@ class SimTactile:
         """Return the model (without the body that carries the sensor) and data of one copy."""
         world = self._world
         if self._shapes is None:
-            self._shapes = self._without_own(world.model)
+            # Rays pass through the body that carries the sensor: a finger may reach into the housing, before the gel.
+            self._shapes = copying.copy(world.model)
+            self._shapes.geom_group[self._is_own] = UNFELT_GROUP
         model = self._shapes
         for field in FELT_FIELDS:
             values = world.core.expanded(field) if world.leading else None
@@ -140,15 +144,6 @@ class SimTactile:
         mujoco.mj_setState(model, data, world.core.states[copy], mujoco.mjtState.mjSTATE_INTEGRATION.value)
         mujoco.mj_kinematics(model, data)
         return model, data
-
-    def _without_own(self, model: mujoco.MjModel) -> mujoco.MjModel:
-        """Return a copy of a model in which rays pass through the body that carries the sensor.
-
-        A finger may reach into the housing, between the camera and the gel.
-        """
-        seen: mujoco.MjModel = copying.copy(model)
-        seen.geom_group[self._is_own] = UNFELT_GROUP
-        return seen
 
     def _feel(self, copy: tuple[int, ...], force: float) -> NDArray[np.float32]:
         """Return the gel's displacement in one copy [m], (H, W), under a force [N]."""
@@ -242,13 +237,3 @@ def _around(flags: NDArray[np.bool_], across: int) -> slice:
     """Return the rows (across 1) or columns (0) of rays at true flags of coarser ones, with two of these as margin."""
     found = np.flatnonzero(flags.any(axis=across))
     return slice(max(int(found[0]) - 2, 0) * COARSER, (int(found[-1]) + 3) * COARSER)
-
-
-def _renderer(
-    placement: TactilePlacement, gel: Gel, look: TactileLook, background: GelImage | None
-) -> GelLight | Tacto:
-    if look == "tacto":
-        from rcs.sim.tacto import Tacto  # needs packages that most users do not have
-
-        return Tacto(placement.sensor, gel)
-    return GelLight(placement.sensor, gel, background)

@@ -218,10 +218,7 @@ class World:
             SimulationError: MuJoCo failed or dropped contacts; the message names the copy.
             WrongOrder: The world is stepping already, in another thread or around a callback, or is closed.
         """
-        if copies is None:
-            self.core.advance()
-        else:
-            self.core.advance(copies)
+        self.core.advance(*_chosen(copies))
 
     def why_diverged(self) -> str:
         """Return MuJoCo's message on why the last step failed, for a world of one copy; empty if it did not."""

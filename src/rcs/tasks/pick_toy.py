@@ -19,7 +19,7 @@ from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
-from rcs.spatial import Pose, compose, inverse
+from rcs.spatial import compose, inverse
 from rcs.tasks.holding import HoldTimer, all_but
 from rcs.tasks.lifting import LiftOptions, norm, progress, table_height
 from rcs.tasks.table_task import TableTask, require_robots
@@ -110,8 +110,7 @@ class PickToy(TableTask):
         """Nodes of the toy when nothing pulls at them, relative to the carrier, which does not move."""
         self._rest_height = np.empty(world.leading)
         self._measure(...)
-        base = placement.base_in_scene
-        self._scene_in_base = inverse(Pose(base.translation, base.quaternion).tquat)
+        self._scene_in_base = inverse(placement.base_in_scene.pose.tquat)
         home = kinematics_of(placement.arm, placement.end_effector).forward(np.array(placement.arm.home))
         self._home = home.tquat[:3]
         self._held = HoldTimer(world, self.options.hold_time, SHIFT, places=1)
