@@ -26,7 +26,7 @@ def at_home(lab: mujoco.MjModel, placement: RobotPlacement, copies: int | None =
     return robot
 
 
-class TestSimArm(ArmContract):
+class InTheLab:
     copies: int | None = None
 
     @pytest.fixture(autouse=True)
@@ -35,35 +35,25 @@ class TestSimArm(ArmContract):
         yield
         self.__dict__.clear()  # pytest keeps test objects to the end, and with them the world
 
-    def make_device(self) -> Arm:
-        self.robot = at_home(self.lab, self.placement, self.copies)
-        return self.robot.arm(self.robot.world.copies - 1)
-
     def advance(self, seconds: float) -> None:
         for _ in range(round(100 * seconds)):
             self.robot.world.advance()
+
+
+class TestSimArm(InTheLab, ArmContract):
+    def make_device(self) -> Arm:
+        self.robot = at_home(self.lab, self.placement, self.copies)
+        return self.robot.arm(self.robot.world.copies - 1)
 
 
 class TestSimArmOfABatch(TestSimArm):
     copies = 2
 
 
-class TestSimGripper(GripperContract):
-    copies: int | None = None
-
-    @pytest.fixture(autouse=True)
-    def _in_the_lab(self, lab: mujoco.MjModel, placement: RobotPlacement) -> Iterator[None]:
-        self.lab, self.placement = lab, placement
-        yield
-        self.__dict__.clear()  # pytest keeps test objects to the end, and with them the world
-
+class TestSimGripper(InTheLab, GripperContract):
     def make_device(self) -> Gripper:
         self.robot = at_home(self.lab, self.placement, self.copies)
         return self.robot.gripper_device(self.robot.world.copies - 1)
-
-    def advance(self, seconds: float) -> None:
-        for _ in range(round(100 * seconds)):
-            self.robot.world.advance()
 
 
 class TestSimGripperOfABatch(TestSimGripper):

@@ -116,11 +116,7 @@ class SimCameras:
         self.labels = Labels(world.model)
         """Names of the numbers in segmentation."""
         self._quality: Quality = quality
-        self._ids = [world.model.camera(camera.camera_name).id for camera in cameras]
-        self._optics = [
-            Optics(camera, self.sizes[camera.name], float(world.model.cam_fovy[number]))
-            for camera, number in zip(cameras, self._ids, strict=True)
-        ]
+        self._optics = [Optics(camera, self.sizes[camera.name], world.model) for camera in cameras]
         # A camera's body has the optical frame: x right, y down, z forward.
         bodies = [f"{camera.name}/{camera.camera.base_body}" for camera in cameras]
         self._poses = [world.core.read_body_pose(world.model.body(body).id, frame_body) for body in bodies]
@@ -182,7 +178,7 @@ class SimCameras:
         for name in names:
             i = self.names.index(name)
             drawn = _Drawn.empty(self.sizes[name][::-1], has_depth=self.has_depth, has_geoms=self.has_segmentation)
-            renderer.render(self._ids[i], drawn.rgb, drawn.depth, drawn.geoms, self._optics[i].lens)
+            renderer.render(self._optics[i].id, drawn.rgb, drawn.depth, drawn.geoms, self._optics[i].lens)
             yield name, self._frame(i, drawn, snapshot.calibrations[name], snapshot.moment)
 
     def _moment(self) -> NDArray[np.float64]:
@@ -206,7 +202,7 @@ class SimCameras:
     def _draw(self, chosen: Sequence[int], copies: Copies) -> list[_Drawn]:
         """Draw some cameras."""
         core = self.world.core
-        ids = [self._ids[i] for i in chosen]
+        ids = [self._optics[i].id for i in chosen]
         # If copies have their own models, a row of states is a copy, and all have to be drawn.
         picks = copies is not None and not core.is_varied
         states = core.states[copies] if picks else None
@@ -228,17 +224,17 @@ class SimCameras:
             mujoco.mj_camlight(self.world.model, data)
             renderer.update(data)
             for i, one in zip(chosen, drawn, strict=True):
-                renderer.render(self._ids[i], one.rgb, one.depth, one.geoms, self._optics[i].lens)
+                renderer.render(self._optics[i].id, one.rgb, one.depth, one.geoms, self._optics[i].lens)
                 self.capture_times[self.names[i]] = time.perf_counter()
         return drawn if copies is None or picks else [one[copies] for one in drawn]
 
     def _calibration(self, i: int, rows: slice | NDArray[np.integer[Any]]) -> FrameArrays:
         """Return the present matrices of a camera, which may move and vary its field of view."""
-        fovy = self.world.field("cam_fovy")[..., self._ids[i]]
+        optics = self._optics[i]
+        fovy = self.world.field("cam_fovy")[..., optics.id]
         poses = self.world.poses[..., self._poses[i], :]
         if self.world.leading:
             fovy, poses = fovy[rows], poses[rows]
-        optics = self._optics[i]
         return {
             "intrinsics": optics.intrinsics(fovy),
             "distortion": optics.distortion(fovy),

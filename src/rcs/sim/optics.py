@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,17 +29,19 @@ class Optics:
     from the nearest one, which is off by up to half a pixel.
     """
 
-    def __init__(self, placement: CameraPlacement, size: tuple[int, int], fovy: float) -> None:
+    def __init__(self, placement: CameraPlacement, size: tuple[int, int], model: mujoco.MjModel) -> None:
         """Prepare the lens.
 
         Args:
             placement: The camera with its calibration.
             size: Width and height of the pictures [px].
-            fovy: Nominal vertical field of view in the model [degrees].
+            model: The model of its scene, with the nominal field of view.
 
         Raises:
             InvalidSetup: The picture of a distorted lens cannot be drawn; the message says why.
         """
+        self.id: int = model.camera(placement.camera_name).id
+        """Id of the camera in the model."""
         self._size = size
         calibrated = None if placement.calibration is None else placement.calibration.intrinsics
         self.lens: Lens | None = None
@@ -48,7 +51,7 @@ class Optics:
         self._scale = (1.0, 1.0)
         self._principal = ((size[0] - 1) / 2, (size[1] - 1) / 2)
         self._distortion = np.zeros(COEFFICIENTS)
-        self._focal = float(self._model_focal(np.array(fovy)))
+        self._focal = float(self._model_focal(model.cam_fovy[self.id]))
         if calibrated is None:
             return
         cut = calibrated.cut(size)

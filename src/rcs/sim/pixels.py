@@ -83,12 +83,7 @@ class PixelFeed:
         self._world = world
         self._clock = clock
         self._quality = quality
-        ids = [world.model.camera(camera.camera_name).id for camera in cameras]
-        self._ids = dict(zip(self.names, ids, strict=True))
-        self._optics = {
-            camera.name: Optics(camera, size, float(world.model.cam_fovy[number]))
-            for camera, number in zip(cameras, ids, strict=True)
-        }
+        self._optics = {camera.name: Optics(camera, size, world.model) for camera in cameras}
         regular = [name for name in self.names if clock.has_frame_each_step(name)]
         self._groups = [_Group(regular, is_regular=True)] if regular else []
         self._groups += [_Group([name], is_regular=False) for name in self.names if name not in regular]
@@ -149,7 +144,7 @@ class PixelFeed:
             world.model,
             world.copies,
             world.core.threads,
-            [self._ids[name] for name in group.names],
+            [self._optics[name].id for name in group.names],
             width=width,
             height=height,
             is_grayscale=self.pixels.grayscale,
