@@ -65,15 +65,15 @@ def test_what_mujoco_shows_is_there_once_in_the_same_place_and_colour(task: str,
     shapes = shapes_of(model, data)
     names = [shape.name for shape in shapes]
     assert len(set(names)) == len(names)
-    shown = shown_by_mujoco(model, data)
-    assert sorted(shape.geom for shape in shapes if shape.geom is not None) == sorted(shown)
+    shown = {model.geom(i).name or f"geom {i}": geom for i, geom in shown_by_mujoco(model, data).items()}
+    assert {shape.name for shape in shapes if shape.flex is None} == set(shown)
     for shape in shapes:
-        if shape.geom is not None:
+        if shape.flex is None:
             body = np.concatenate([data.xpos[shape.body], wxyz_to_xyzw(data.xquat[shape.body])])
             place = tquat_to_matrix(compose(body, shape.in_body))
-            np.testing.assert_allclose(place[:3, 3], shown[shape.geom].pos, atol=1e-6)
-            np.testing.assert_allclose(place[:3, :3], shown[shape.geom].mat, atol=1e-6)
-            np.testing.assert_allclose(shape.rgba, shown[shape.geom].rgba, atol=1e-6)
+            np.testing.assert_allclose(place[:3, 3], shown[shape.name].pos, atol=1e-6)
+            np.testing.assert_allclose(place[:3, :3], shown[shape.name].mat, atol=1e-6)
+            np.testing.assert_allclose(shape.rgba, shown[shape.name].rgba, atol=1e-6)
     assert len([shape for shape in shapes if shape.flex is not None]) == model.nflex
     env.close()
 

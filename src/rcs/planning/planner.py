@@ -168,20 +168,15 @@ class Planner:
                 different.append(q)
         return np.array(different)
 
-    def time(self, path: Path, *, bend: float = 0.5) -> TimedPath:
-        """Give a path times, within the limits of the joints; corners are rounded off where that touches nothing.
-
-        Args:
-            path: The path.
-            bend: How long rounded corners may be [rad].
-        """
+    def time(self, path: Path) -> TimedPath:
+        """Give a path times, within the limits of the joints; corners are rounded off where that touches nothing."""
         nearest = self.checker.clearance_rows(path.waypoints, self.margin + INSIDE)[0].min()
         margin = max(min(self.margin, float(nearest) - INSIDE), 0.0)
 
         def is_free(rows: Rows) -> bool:
             return bool(np.isinf(self.checker.first_hit_rows(rows[:-1], rows[1:], STEP / 5, TURN, margin)[0]).all())
 
-        return time_path(path, self.limits, bend=bend, is_free=is_free)
+        return time_path(path, self.limits, is_free=is_free)
 
     def _joints(self, name: str, given: ArrayLike) -> Rows:
         rows = np.atleast_2d(np.asarray(given, np.float64))

@@ -23,9 +23,7 @@ class TactileLight(Record):
     position: _Vector
     """Position in the frame of the base body [m]."""
     color: _Vector
-    """Red, green and blue, 0 … 1."""
-    intensity: float
-    """Brightness relative to the others."""
+    """Red, green and blue, 0 … 1; a weaker light has smaller numbers."""
 
 
 class TactileDescription(Description):
@@ -86,9 +84,9 @@ class TactileDescription(Description):
 
 def _light(angle: float, color: tuple[float, float, float]) -> TactileLight:
     """Return a light on the ring behind the gel at an angle [degrees] from y towards z."""
-    # tacto config_digit.yml: radius 20 mm in the plane x = 5 mm, around the gel's axis at z = 15 mm; intensity 1.
+    # tacto config_digit.yml: radius 20 mm in the plane x = 5 mm, around the gel's axis at z = 15 mm.
     y, z = 0.02 * cos(radians(angle)), 0.015 + 0.02 * sin(radians(angle))
-    return TactileLight(position=(0.005, y, z), color=color, intensity=1.0)
+    return TactileLight(position=(0.005, y, z), color=color)
 
 
 DIGIT: Final = TactileDescription(

@@ -69,8 +69,6 @@ class Shape:
     """Triangles; of a soft body where they are now."""
     rgba: tuple[float, float, float, float]
     """Colour, 0 … 1."""
-    geom: int | None = None
-    """Id of the geom."""
     flex: int | None = None
     """Id of the soft body; its vertices move with `soft_vertices`."""
     look: Hashable = None
@@ -250,7 +248,6 @@ def shapes_of(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
                 in_body=place,
                 mesh=mesh,
                 rgba=rgba,
-                geom=geom,
                 look=(kind, asset, rgba, tuple(model.geom_size[geom]), tuple(place)),
             )
         )

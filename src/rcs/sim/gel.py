@@ -191,7 +191,6 @@ class GelLight:
         middle = np.array([gel.rest[height // 2, width // 2], 0.0, 0.0])
         distances = np.linalg.norm(self._places - middle, axis=1)
         colours = np.array([light.color for light in sensor.lights])
-        colours *= np.array([light.intensity for light in sensor.lights])[:, None]
         self._colours = (255.0 * DIFFUSE * colours * distances[:, None] ** 2).astype(np.float32)
         self._gel = gel
         self._slope_y, self._slope_z = (slope.astype(np.float32) for slope in gel.slopes)

@@ -8,7 +8,8 @@ thread pool without the GIL, and its result does not depend on the number of thr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, Literal, NamedTuple, get_args
+from functools import cached_property
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
@@ -37,14 +38,7 @@ DIVERGENCE = (
     mujoco.mjtWarning.mjWARN_BADCTRL,
 )
 """Warnings of MuJoCo that make a step fail."""
-
-
-class _Readouts(NamedTuple):
-    poses: NDArray[np.float64]
-    xyzrpy: NDArray[np.float64]
-    forces: NDArray[np.float64]
-    openings: NDArray[np.float32]
-    measurements: NDArray[np.float64]
+_READOUTS = ("poses", "xyzrpy", "forces", "openings", "measurements")
 
 
 class World:
@@ -110,7 +104,6 @@ class World:
         """Live simulated time [s], (*leading,)."""
         self._nominal: dict[str, NDArray[Any]] = {}
         self._fields: dict[str, NDArray[Any]] = {}
-        self._readouts: _Readouts | None = None
         self._scratch: mujoco.MjData | None = None
 
     def close(self) -> None:
@@ -174,36 +167,30 @@ class World:
         self.refresh()
         return index
 
-    def _read_out(self) -> _Readouts:
-        """Take views of the readouts."""
-        core = self.core
-        self._readouts = _Readouts(core.poses, core.xyzrpy, core.forces, core.openings, core.measurements)
-        return self._readouts
-
-    @property
+    @cached_property
     def poses(self) -> NDArray[np.float64]:
         """Live poses registered with `read_pose`, (*leading, readouts, 7): translation [m], quaternion xyzw."""
-        return (self._readouts or self._read_out()).poses
+        return self.core.poses
 
-    @property
+    @cached_property
     def xyzrpy(self) -> NDArray[np.float64]:
         """The same poses as translation [m] and roll, pitch, yaw [rad], (*leading, readouts, 6)."""
-        return (self._readouts or self._read_out()).xyzrpy
+        return self.core.xyzrpy
 
-    @property
+    @cached_property
     def forces(self) -> NDArray[np.float64]:
         """Live forces registered with `core.read_force`, (*leading, readouts) [N]."""
-        return (self._readouts or self._read_out()).forces
+        return self.core.forces
 
-    @property
+    @cached_property
     def openings(self) -> NDArray[np.float32]:
         """Live openings registered with `core.read_opening`, (*leading, readouts), 0 … 1."""
-        return (self._readouts or self._read_out()).openings
+        return self.core.openings
 
-    @property
+    @cached_property
     def measurements(self) -> NDArray[np.float64]:
         """Live values registered with `core.measure`, (*leading, values)."""
-        return (self._readouts or self._read_out()).measurements
+        return self.core.measurements
 
     @property
     def period(self) -> float:
@@ -233,7 +220,8 @@ class World:
 
     def refresh(self, copies: Copies = None) -> None:
         """Recompute the readouts (poses, forces) after writing the state, or after adding some to `core`."""
-        self._readouts = None
+        for views in _READOUTS:
+            self.__dict__.pop(views, None)
         self.core.refresh(*_chosen(copies))
 
     def save(self, copies: Copies = None) -> NDArray[np.float64]:
