@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from rcs._core import Collision, JointsArrived, JointsAtRest, StepEnd
 from rcs.errors import InvalidSetup
-from rcs.sim.periods import control_period
-from rcs.sim.world import Callback, World
+from rcs.sim.world import Callback, World, control_period
 
 RunProgram = Callable[..., subprocess.CompletedProcess[str]]
 

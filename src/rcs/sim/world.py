@@ -7,7 +7,9 @@ thread pool without the GIL, and its result does not depend on the number of thr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
+from fractions import Fraction
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -19,7 +21,6 @@ from rcs_data.options import require_whole
 from rcs import _core
 from rcs._core import StepCallback, StepEnd, StepView
 from rcs.errors import InvalidSetup, SimulationError
-from rcs.sim.periods import control_period, require_multiple
 
 Stepping = Literal["async", "sync", "realtime"]
 """How long a step lasts: one control period of simulated time, until converged, or one on the wall clock."""
@@ -31,6 +32,10 @@ StepFunction = Callable[[StepView], bool | None]
 """A function that sees a copy during a step; None counts as False."""
 MOST = 2**31 - 1
 """Largest number of copies and of threads."""
+LOWEST_FREQUENCY = 1e-6
+"""Lowest control rate [Hz]: one step in eleven days."""
+SHORTEST_PHYSICS_STEP = 1e-9
+"""Shortest time step of the physics [s], the resolution of control periods."""
 DIVERGENCE = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -142,7 +147,16 @@ class World:
         Raises:
             InvalidSetup: The period is no such multiple; the message has the nearest.
         """
-        require_multiple(period, self.model.opt.timestep)
+        physics_step = self.model.opt.timestep
+        steps = period / physics_step
+        # The core refuses what is shorter or not finite.
+        if 0.5 <= steps < math.inf and not math.isclose(steps, round(steps), rel_tol=1e-9):
+            fewer = max(math.floor(steps), 1)
+            nearest = " and ".join(f"{round(n * physics_step, 12)} s" for n in (fewer, fewer + 1))
+            raise InvalidSetup(
+                f"The period is {period} s; valid is a multiple of the physics' time step of {physics_step} s. The "
+                f"nearest are {nearest}."
+            )
         self.core.on_period(Callback(function), period)
 
     @property
@@ -343,6 +357,26 @@ class World:
         for i in range(root + 1, self.model.nbody):  # parents come before children
             inside[i] = inside[self.model.body_parentid[i]]
         return inside
+
+
+def control_period(frequency: float, physics_step: float) -> Fraction:
+    """Return the control period in physics steps as an exact ratio, so that the mean rate is exact.
+
+    Args:
+        frequency: Control steps per second [Hz].
+        physics_step: Time step of the physics [s].
+
+    Raises:
+        InvalidSetup: The frequency is too low or higher than that of the physics, or the physics has no time step.
+    """
+    if not (math.isfinite(physics_step) and physics_step >= SHORTEST_PHYSICS_STEP):
+        raise InvalidSetup(f"The model's time step is {physics_step} s; it must be at least {SHORTEST_PHYSICS_STEP} s.")
+    if not (math.isfinite(frequency) and LOWEST_FREQUENCY <= frequency <= 1 / physics_step + 1e-9):
+        raise InvalidSetup(
+            f"frequency is {frequency} Hz; valid is from {LOWEST_FREQUENCY} Hz up to the physics' "
+            f"{1 / physics_step:g} Hz."
+        )
+    return 1 / (Fraction(frequency).limit_denominator(10**6) * Fraction(physics_step).limit_denominator(10**9))
 
 
 def _chosen(copies: Copies) -> tuple[NDArray[np.integer[Any]], ...]:
