@@ -10,7 +10,7 @@ import pytest
 
 from rcs import _core
 from rcs.robots.cameras import REALSENSE_D435
-from rcs.sim.noise import DARK, STEEP_LOSS, STEEPEST, measure_depth
+from rcs.sim.noise import DARK, STEEP_LOSS, STEEPEST, CameraNoise
 
 HEIGHT, WIDTH = 120, 320
 FOCAL = 300.0
@@ -21,7 +21,8 @@ NARROW = replace(REALSENSE_D435, stereo_fovx=0.0)
 def measured(depth: Any, brightness: int = 128, *, camera: Any = NARROW, seed: int = 1) -> np.ndarray[Any, Any]:
     """Return what is measured of a depth [mm] that has a shape to which (H, W) can be cut."""
     image = np.broadcast_to(np.asarray(depth, np.uint16), (HEIGHT, WIDTH)).copy()
-    measure_depth(camera, image, np.full((HEIGHT, WIDTH, 3), brightness, np.uint8), MATRIX, 0.105, seed)
+    rgb = np.full((HEIGHT, WIDTH, 3), brightness, np.uint8)
+    CameraNoise(camera, (WIDTH, HEIGHT), "eye").measure_depth(image, rgb, MATRIX, seed)
     return image
 
 
@@ -96,6 +97,6 @@ def test_too_near_too_far_and_nothing_are_no_reading() -> None:
 def test_shapes_that_do_not_fit_are_refused() -> None:
     depth, rgb = np.ones((4, 4), np.uint16), np.zeros((4, 5, 3), np.uint8)
     with pytest.raises(ValueError, match="one size"):
-        measure_depth(NARROW, depth, rgb, MATRIX, 0.1, 0)
+        CameraNoise(NARROW, (5, 4), "eye").measure_depth(depth, rgb, MATRIX, 0)
     with pytest.raises(ValueError, match="256"):
         _core.add_colour_noise(rgb, np.zeros(3, np.int8), 0)

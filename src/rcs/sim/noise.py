@@ -77,10 +77,36 @@ class CameraNoise:
             seed = self._seed(moment[index])
             if "depth" in frame:
                 true_colours, matrix = frame["rgb"][index], frame["intrinsics"][index]
-                depth: NDArray[np.uint16] = noisy["depth"][index]
-                measure_depth(self._camera, depth, true_colours, matrix, self._nearest, seed ^ _DEPTH_BRANCH)
+                self.measure_depth(noisy["depth"][index], true_colours, matrix, seed ^ _DEPTH_BRANCH)
             add_colour_noise(noisy["rgb"][index], _colour_errors(), seed)
         return noisy
+
+    def measure_depth(
+        self, depth_mm: NDArray[np.uint16], rgb: NDArray[np.uint8], intrinsics: NDArray[np.float64], seed: int
+    ) -> None:
+        """Replace the depth of one picture by that of a stereo camera, in place; 0 is no reading.
+
+        Args:
+            depth_mm: The true depth [mm], shape (H, W), 0 for no surface.
+            rgb: The colours there, shape (H, W, 3).
+            intrinsics: Camera matrix [px], shape (3, 3).
+            seed: Determines the errors.
+        """
+        measure_stereo(
+            depth_mm,
+            rgb,
+            focal=float(intrinsics[0, 0]),
+            middle=float(intrinsics[0, 2]),
+            baseline=self._camera.stereo_baseline,
+            half_width=float(np.tan(0.5 * self._camera.stereo_fovx)),
+            nearest=self._nearest,
+            deviation=SUBPIXEL,
+            steepest=float(np.tan(STEEPEST)),
+            steep_loss=STEEP_LOSS,
+            dark=DARK,
+            normal=_normal(),
+            seed=seed,
+        )
 
     def _seed(self, moment: NDArray[np.float64]) -> int:
         """Return 64 bits that are others for any other moment or camera."""
@@ -100,41 +126,6 @@ def nearest_depth(camera: CameraDescription, size: tuple[int, int]) -> float:
     around = [entry for entry in sorted(camera.min_depth) if entry[0] >= size[0] and entry[1] >= size[1]]
     formats = around[:1] or sorted(camera.min_depth)[-1:]
     return formats[0][2] if formats else 0.0
-
-
-def measure_depth(
-    camera: CameraDescription,
-    depth_mm: NDArray[np.uint16],
-    rgb: NDArray[np.uint8],
-    intrinsics: NDArray[np.float64],
-    nearest: float,
-    seed: int,
-) -> None:
-    """Replace the depth of one picture by that of a stereo camera, in place; 0 is no reading.
-
-    Args:
-        camera: Its figures.
-        depth_mm: The true depth [mm], shape (H, W), 0 for no surface.
-        rgb: The colours there, shape (H, W, 3).
-        intrinsics: Camera matrix [px], shape (3, 3).
-        nearest: Nearest depth with a reading [m].
-        seed: Determines the errors.
-    """
-    measure_stereo(
-        depth_mm,
-        rgb,
-        focal=float(intrinsics[0, 0]),
-        middle=float(intrinsics[0, 2]),
-        baseline=camera.stereo_baseline,
-        half_width=float(np.tan(0.5 * camera.stereo_fovx)),
-        nearest=nearest,
-        deviation=SUBPIXEL,
-        steepest=float(np.tan(STEEPEST)),
-        steep_loss=STEEP_LOSS,
-        dark=DARK,
-        normal=_normal(),
-        seed=seed,
-    )
 
 
 @cache
