@@ -192,7 +192,7 @@ def test_focal_lengths_that_are_one_percent_off_raise_the_alarm(
     assert not hand_eye(one.board, one.views, arrangement, lens).alarms
     found = hand_eye(one.board, one.views, arrangement, wrong)
     assert "focal lengths" in found.alarms[0]
-    assert 1 + found.focal_off == pytest.approx(1 / factor, abs=2e-3)
+    assert 1 + found.given_off[0] == pytest.approx(1 / factor, abs=2e-3)
 
 
 def test_views_of_another_board_are_refused(seen: Callable[..., Any], lens: Intrinsics) -> None:
@@ -208,7 +208,7 @@ def test_views_of_another_board_are_refused(seen: Callable[..., Any], lens: Intr
 def test_a_wrong_size_of_the_board_is_noticed(seen: Callable[..., Any], lens: Intrinsics) -> None:
     one = seen("eye-in-hand")
     found = hand_eye(Board(tag_size=0.0784, gap=0.0196), one.views, "eye-in-hand", lens)
-    assert found.size_off == pytest.approx(0.08 / 0.0784 - 1, abs=2e-3)
+    assert found.given_off[3] == pytest.approx(0.08 / 0.0784 - 1, abs=2e-3)
     assert any("a board that is 2" in alarm and "larger" in alarm for alarm in found.alarms)
 
 

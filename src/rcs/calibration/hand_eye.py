@@ -73,12 +73,9 @@ class HandEye:
     the errors of robot and detection in that one view, too, so the camera's pose is known better than that."""
     held_out_degrees: float
     """The same of their rotations [degrees]."""
-    focal_off: float
-    """Share by which longer focal lengths explain the pictures better."""
-    centre_off: tuple[float, float]
-    """How far another principal point that explains them better is off [px]."""
-    size_off: float
-    """Share by which a larger board explains the motions better."""
+    given_off: NDArray[np.float64]
+    """What explains the pictures better than what is given, (4,): share by which focal lengths are longer, how far the
+    principal point is off in x and y [px], and share by which the board is larger."""
     alarms: tuple[str, ...]
     """Problems found, in words; empty if all is well."""
 
@@ -180,9 +177,7 @@ def hand_eye(
         held_out_px=rms(np.concatenate(held_out)),
         held_out_mm=millimetres,
         held_out_degrees=degrees,
-        focal_off=float(given_off[0]),
-        centre_off=(float(given_off[1]), float(given_off[2])),
-        size_off=float(given_off[3]),
+        given_off=given_off,
         alarms=alarms,
     )
 

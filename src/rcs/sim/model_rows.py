@@ -74,7 +74,7 @@ class ObjectParts:
         self.nodes = _rows_of(self.flexes, model.flex_nodeadr, model.flex_nodenum)
         self.stiffness = _rows_of(self.flexes, model.flex_stiffnessadr, _stiffness_count(model))
         """Rows of the flexes' vertices, nodes and stiffness."""
-        self.boxes = np.concatenate([np.arange(0), *(_tree_of(model, int(i)) for i in self.bodies)])
+        self.boxes = _rows_of(self.bodies, model.body_bvhadr, model.body_bvhnum)
         """Nodes of the bodies' bounding volume trees."""
         joints = np.flatnonzero(inside[model.jnt_bodyid])
         moving = np.append(model.flex_nodebodyid[self.nodes], self.root)
@@ -88,8 +88,8 @@ class ObjectParts:
         copies and keep their size, as do soft bodies with springs along their edges."""
 
 
-def _rows_of(flexes: NDArray[np.intp], first: NDArray[np.int32], count: NDArray[np.int32]) -> NDArray[np.intp]:
-    return np.concatenate([np.arange(0), *(np.arange(int(count[i])) + int(first[i]) for i in flexes)])
+def _rows_of(elements: NDArray[np.intp], first: NDArray[np.int32], count: NDArray[np.int32]) -> NDArray[np.intp]:
+    return np.concatenate([np.arange(0), *(np.arange(int(count[i])) + int(first[i]) for i in elements)])
 
 
 def _stiffness_count(model: Any) -> NDArray[np.int32]:
@@ -105,10 +105,6 @@ def _have_nodes_alone(model: Any, flexes: NDArray[np.intp]) -> bool:
     is_plastic = model.flex_plasticadr[flexes] >= 0
     is_of_nodes = (model.flex_dim[flexes] == 3) & (model.flex_interp[flexes] > 0)
     return bool((is_of_nodes & ~has_edges & ~is_plastic).all())
-
-
-def _tree_of(model: Any, body: int) -> NDArray[np.intp]:
-    return np.arange(model.body_bvhnum[body]) + model.body_bvhadr[body]
 
 
 def owners(parts: Iterable[NDArray[np.intp]]) -> NDArray[np.intp]:
