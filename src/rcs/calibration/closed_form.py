@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.calibration.board import Board
-from rcs.calibration.board_pose import BoardPose, angle, board_poses
+from rcs.calibration.board_pose import angle, board_poses
 from rcs.calibration.fit import Guess, Sightings, tag_errors
 from rcs.calibration.rig import Arrangement, View
 from rcs.errors import InvalidSetup
@@ -119,7 +119,8 @@ def start(board: Board, views: Sequence[View], arrangement: Arrangement, intrins
         triple = rng.choice(usable, 3, replace=False)
         if min(angle(a, b) for a, b in combinations(anchors[triple], 2)) < TURNED:
             continue
-        boards = np.array([_one(poses[i], rng).board_in_camera for i in triple])
+        # The more likely pose in each view, or sometimes the other.
+        boards = np.array([poses[i][-1 if rng.random() < 0.2 else 0].board_in_camera for i in triple])
         camera = camera_in_mount(anchors[triple], boards)
         guess = Guess(rigid(camera), rigid(middle_pose(board_in_anchor(camera, anchors[triple], boards))))
         cost = float(np.minimum(tag_errors(guess, seen), NEAR).mean())
@@ -133,8 +134,3 @@ def start(board: Board, views: Sequence[View], arrangement: Arrangement, intrins
             f"({arrangement})."
         )
     return best[1]
-
-
-def _one(found: list[BoardPose], rng: np.random.Generator) -> BoardPose:
-    """Return the more likely pose, or sometimes the other."""
-    return found[-1] if rng.random() < 0.2 else found[0]

@@ -110,17 +110,15 @@ class DelayedFrames:
         numbers = self._clock.numbers[name].copy()
         drawn = np.full(len(now), self._feed.capture_times[name])
         captured = drawn if self._is_real else now
-        arrives = captured + np.reshape(latency, -1) + self._jitter * self._drawn_jitter(name, numbers)
+        # 0 … 1 for each copy, determined by episode, camera and frame.
+        late = numbered(branch(self._clock.keys, f"late {name}"), numbers)
+        arrives = captured + np.reshape(latency, -1) + self._jitter * late
         times = np.stack([captured, np.where(is_start, -np.inf, arrives), drawn])
         if before is not None:
             has_new = drawn != before.times[2] if self._is_real else numbers != self.numbers[name].reshape(-1)
             times = np.where(is_start | has_new, times, before.times)
         self.numbers[name] = numbers.reshape(self._world.leading)
         return _Frame(arrays, times)
-
-    def _drawn_jitter(self, name: str, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return a number 0 … 1 for each copy, determined by episode, camera and frame."""
-        return numbered(branch(self._clock.keys, f"late {name}"), numbers)
 
     @property
     def waiting(self) -> dict[str, dict[str, NDArray[Any]]]:

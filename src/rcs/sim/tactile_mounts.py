@@ -197,10 +197,7 @@ class _Closed:
         for name, position in zip(gripper.joints, gripper.joint_closed, strict=True):
             self._data.qpos[self._model.joint(name).qposadr[0]] = position
         mujoco.mj_kinematics(self._model, self._data)
-
-    @property
-    def tcp_rotation(self) -> Vector:
-        return self._data.site(self._description.tcp_site).xmat.reshape(3, 3).copy()
+        self.tcp_rotation: Vector = self._data.site(gripper.tcp_site).xmat.reshape(3, 3).copy()
 
     def middle(self, geoms: Sequence[str]) -> Vector:
         """Return the mean position of geoms [m]."""
