@@ -302,7 +302,7 @@ def _simulated_sensors(
         cameras = SimCameras(
             world,
             observed,
-            sizes={camera.name: asked.size_of(camera.name) for camera in observed},
+            size={camera.name: asked.size_of(camera.name) for camera in observed},
             has_depth=asked.depth,
             has_segmentation=asked.segmentation,
             quality=setup.render_quality,

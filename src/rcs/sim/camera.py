@@ -76,8 +76,7 @@ class SimCameras:
         world: World,
         cameras: list[CameraPlacement],
         *,
-        size: tuple[int, int] = (224, 224),
-        sizes: Mapping[str, tuple[int, int]] | None = None,
+        size: tuple[int, int] | Mapping[str, tuple[int, int]] = (224, 224),
         has_depth: bool = False,
         has_segmentation: bool = False,
         quality: Quality = "fast",
@@ -89,8 +88,7 @@ class SimCameras:
         Args:
             world: The world to draw.
             cameras: Cameras of its scene.
-            size: Width and height of every frame [px].
-            sizes: Sizes of cameras that differ, by name.
+            size: Width and height of every frame [px], or those of each camera by name.
             has_depth: Draw depth, too.
             has_segmentation: Draw instances and geoms, too.
             quality: Rendering quality.
@@ -100,11 +98,11 @@ class SimCameras:
         Raises:
             InvalidSetup: The size is out of range, a camera has no depth, or its distortion cannot be drawn.
         """
-        self.sizes = {camera.name: (sizes or {}).get(camera.name, size) for camera in cameras}
+        self.sizes = {camera.name: size[camera.name] if isinstance(size, Mapping) else size for camera in cameras}
         """Width and height of each camera's frames [px]."""
-        for size in self.sizes.values():
-            if not all(1 <= edge <= MAX_SIZE for edge in size):
-                raise InvalidSetup(f"The size of a frame is {size}; valid is 1 to {MAX_SIZE} px for width and height.")
+        for own in self.sizes.values():
+            if not all(1 <= edge <= MAX_SIZE for edge in own):
+                raise InvalidSetup(f"The size of a frame is {own}; valid is 1 to {MAX_SIZE} px for width and height.")
         for camera in cameras:
             if has_depth and not camera.camera.has_depth:
                 raise InvalidSetup(f"Camera {camera.name!r} ({camera.camera.label}) has no depth.")
