@@ -55,11 +55,6 @@ class _Drawn:
     depth: NDArray[np.uint16] | None
     geoms: NDArray[np.uint16] | None
 
-    @staticmethod
-    def empty(shape: tuple[int, ...], *, has_depth: bool, has_geoms: bool) -> _Drawn:
-        depth, geoms = (np.empty(shape, np.uint16) if wanted else None for wanted in (has_depth, has_geoms))
-        return _Drawn(np.empty((*shape, 3), np.uint8), depth, geoms)
-
     def __getitem__(self, rows: Any) -> _Drawn:
         depth, geoms = (None if values is None else values[rows] for values in (self.depth, self.geoms))
         return _Drawn(self.rgb[rows], depth, geoms)
@@ -175,9 +170,7 @@ class SimCameras:
         renderer.update_from_state(snapshot.state)
         for name in names:
             i = self.names.index(name)
-            drawn = _Drawn.empty(self.sizes[name][::-1], has_depth=self.has_depth, has_geoms=self.has_segmentation)
-            renderer.render(self._optics[i].id, drawn.rgb, drawn.depth, drawn.geoms, self._optics[i].lens)
-            yield name, self._frame(i, drawn, snapshot.calibrations[name], snapshot.moment)
+            yield name, self._frame(i, self._render(renderer, i), snapshot.calibrations[name], snapshot.moment)
 
     def _moment(self) -> NDArray[np.float64]:
         """Return time and positions of every copy, which determine the noise, (*leading, 1 + nq)."""
@@ -199,32 +192,38 @@ class SimCameras:
 
     def _draw(self, chosen: Sequence[int], copies: Copies) -> list[_Drawn]:
         """Draw some cameras."""
-        core = self.world.core
-        ids = [self._optics[i].id for i in chosen]
-        # If copies have their own models, a row of states is a copy, and all have to be drawn.
-        picks = copies is not None and not core.is_varied
-        states = core.states[copies] if picks else None
-        leading = self.world.leading if states is None else (len(states),)
-        shapes = [(*leading, *self.sizes[self.names[i]][::-1]) for i in chosen]
-        drawn = [_Drawn.empty(one, has_depth=self.has_depth, has_geoms=self.has_segmentation) for one in shapes]
-        lenses = [self._optics[i].lens for i in chosen]
         renderer = self._renderer or self._make_renderer()
-        if isinstance(renderer, RenderPool):
-            rgb, depth, geoms = ([getattr(one, part) for one in drawn] for part in ("rgb", "depth", "geoms"))
-            if states is None:
-                renderer.render_states(core.states, ids, rgb, depth, core, geoms, lenses)
-            else:
-                renderer.render_states(states, ids, rgb, depth, None, geoms, lenses)
-            self.capture_times.update(dict.fromkeys([self.names[i] for i in chosen], time.perf_counter()))
-        else:
+        if isinstance(renderer, Renderer):
             data = self.world.data
             assert data is not None
             mujoco.mj_camlight(self.world.model, data)
             renderer.update(data)
-            for i, one in zip(chosen, drawn, strict=True):
-                renderer.render(self._optics[i].id, one.rgb, one.depth, one.geoms, self._optics[i].lens)
-                self.capture_times[self.names[i]] = time.perf_counter()
+            return [self._render(renderer, i) for i in chosen]
+        core = self.world.core
+        # If copies have their own models, a row of states is a copy, and all have to be drawn.
+        picks = copies is not None and not core.is_varied
+        states = core.states[copies] if picks else core.states
+        drawn = [self._empty(i, len(states)) for i in chosen]
+        rgb, depth, geoms = ([getattr(one, part) for one in drawn] for part in ("rgb", "depth", "geoms"))
+        ids, lenses = [self._optics[i].id for i in chosen], [self._optics[i].lens for i in chosen]
+        renderer.render_states(states, ids, rgb, depth, None if picks else core, geoms, lenses)
+        self.capture_times.update(dict.fromkeys([self.names[i] for i in chosen], time.perf_counter()))
         return drawn if copies is None or picks else [one[copies] for one in drawn]
+
+    def _render(self, renderer: Renderer, i: int) -> _Drawn:
+        """Draw a camera of what a renderer was given last."""
+        drawn = self._empty(i)
+        renderer.render(self._optics[i].id, drawn.rgb, drawn.depth, drawn.geoms, self._optics[i].lens)
+        self.capture_times[self.names[i]] = time.perf_counter()
+        return drawn
+
+    def _empty(self, i: int, *leading: int) -> _Drawn:
+        """Return arrays for a camera to be drawn into."""
+        shape = (*leading, *self.sizes[self.names[i]][::-1])
+        depth, geoms = (
+            np.empty(shape, np.uint16) if wanted else None for wanted in (self.has_depth, self.has_segmentation)
+        )
+        return _Drawn(np.empty((*shape, 3), np.uint8), depth, geoms)
 
     def _calibration(self, i: int, rows: slice | NDArray[np.integer[Any]]) -> FrameArrays:
         """Return the present matrices of a camera, which may move and vary its field of view."""
