@@ -73,11 +73,8 @@ def test_limits_and_joint_dynamics_equal_the_table_in_model_and_description(
         assert FR3.effort_limit[i] == row["effort"]
         np.testing.assert_array_equal(fr3.jnt_actfrcrange[joint.id], [-row["effort"], row["effort"]])
         assert FR3.velocity_limit[i] == row["velocity"]
-        assert [joint.armature[0], joint.damping[0], joint.frictionloss[0]] == [
-            row["armature"],
-            row["damping"],
-            row["frictionloss"],
-        ]
+        for name in ("armature", "damping", "frictionloss"):
+            assert getattr(joint, name)[0] == row[name]
 
 
 def test_servo_gains_equal_the_table(fr3: mujoco.MjModel, figures: Figures) -> None:

@@ -1,4 +1,4 @@
-"""Grippers and hands against their data sheets: how fast they move, and whose friction acts on what they hold."""
+"""Grippers and hands: how fast they move, whose friction acts on what they hold, and what they lift."""
 
 from __future__ import annotations
 
@@ -106,3 +106,37 @@ def test_a_slippery_cuboid_is_lost_where_one_that_grips_is_lifted(
         heights.append(float(data.body("cuboid").xpos[2]))
     assert heights[0] < 0.05
     assert heights[1] > 0.1
+
+
+@pytest.mark.parametrize(
+    ("gripper", "edges", "mass", "offset"),
+    [(ROBOTIQ_2F85, (0.064, 0.032, 0.0576), 0.05, at) for at in ((0.0, 0.0), (0.004, 0.005), (-0.01, -0.012))]
+    + [(SO101_GRIPPER, (0.040, 0.020, 0.036), 0.015, at) for at in ((0.0, 0.0), (0.005, -0.006))],
+)
+def test_a_cuboid_is_lifted_and_held_for_three_seconds(
+    gripper: GripperDescription,
+    edges: tuple[float, float, float],
+    mass: float,
+    offset: tuple[float, float],
+    above_a_cuboid: AboveACuboid,
+) -> None:
+    model, data = above_a_cuboid(gripper, edges, mass, offset)
+    data.actuator(f"gripper/{gripper.actuator}").ctrl[0] = gripper.ctrl_closed
+    mujoco.mj_step(model, data, nstep=500 if gripper is ROBOTIQ_2F85 else 600)
+    for step in range(250):
+        data.actuator("lift").ctrl[0] = 0.15 * step / 250
+        mujoco.mj_step(model, data)
+    mujoco.mj_step(model, data, nstep=150)
+
+    force, by_pad = np.zeros(6), {f"gripper/{name}": 0.0 for names in gripper.pad_geoms for name in names}
+    for index, contact in enumerate(data.contact):
+        mujoco.mj_contactForce(model, data, index, force)
+        (pad,) = {model.geom(int(geom)).name for geom in contact.geom} & by_pad.keys()
+        by_pad[pad] += force[0]
+        assert contact.dist > -1e-3 or gripper is SO101_GRIPPER
+    assert list(by_pad.values()) == pytest.approx([gripper.grasp_force] * 2, rel=0.1)
+
+    held = data.body("cuboid").xpos - data.site("gripper/tcp").xpos
+    mujoco.mj_step(model, data, nstep=1500)
+    np.testing.assert_allclose(data.body("cuboid").xpos - data.site("gripper/tcp").xpos, held, atol=1e-3)
+    assert data.body("cuboid").xpos[2] > 0.15

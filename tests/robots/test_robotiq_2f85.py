@@ -1,10 +1,7 @@
-"""The 2F-85 model: published figures, opening and closing, and a grasp."""
+"""The 2F-85 model: published figures, opening and closing; test_gripper_motion.py lifts things."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -14,18 +11,16 @@ from numpy.typing import NDArray
 
 from rcs.robots.robotiq_2f85 import ROBOTIQ_2F85
 from rcs.spatial import Pose
+from tests.robots.published import read_figures
 
 Bodies = dict[str, dict[str, Any]]
 Rigid = tuple[float, NDArray[np.float64], NDArray[np.float64]]
 """Mass [kg], centre of mass [m] and inertia about the origin [kg m^2], in one frame."""
-AboveACuboid = Callable[..., tuple[mujoco.MjModel, mujoco.MjData]]
-
-CUBOID = (0.064, 0.032, 0.0576)
 
 
 @pytest.fixture(scope="module")
 def figures() -> dict[str, Any]:
-    return json.loads((Path(__file__).parent / "data" / "robotiq_2f85.json").read_text())
+    return read_figures("robotiq_2f85")
 
 
 @pytest.fixture(scope="module")
@@ -214,33 +209,3 @@ def test_all_joints_turn_by_the_same_angle_while_the_gripper_moves(gripper: mujo
             mujoco.mj_step(gripper, data, nstep=20)
             assert np.ptp(data.qpos) < 1e-3
         assert data.qpos.mean() == pytest.approx((1.0 - opening) * ROBOTIQ_2F85.joint_closed[0], abs=1e-4)
-
-
-@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.004, 0.005), (-0.01, -0.012)])
-def test_a_cuboid_is_lifted_and_held_for_three_seconds(
-    above_a_cuboid: AboveACuboid, offset: tuple[float, float]
-) -> None:
-    model, data = above_a_cuboid(ROBOTIQ_2F85, CUBOID, 0.05, offset)
-    lift, fingers = data.actuator("lift"), data.actuator(f"gripper/{ROBOTIQ_2F85.actuator}")
-    fingers.ctrl[0] = ROBOTIQ_2F85.ctrl_closed
-    mujoco.mj_step(model, data, nstep=500)
-    for step in range(250):
-        lift.ctrl[0] = 0.15 * step / 250
-        mujoco.mj_step(model, data)
-    mujoco.mj_step(model, data, nstep=150)
-
-    force, by_pad = np.zeros(6), {"gripper/left_pad": 0.0, "gripper/right_pad": 0.0}
-    for index, contact in enumerate(data.contact):
-        mujoco.mj_contactForce(model, data, index, force)
-        (pad,) = {model.geom(int(geom)).name for geom in contact.geom} & by_pad.keys()
-        by_pad[pad] += force[0]
-        assert contact.dist > -1e-3
-    assert list(by_pad.values()) == pytest.approx([ROBOTIQ_2F85.grasp_force] * 2, rel=0.1)
-
-    def in_gripper() -> NDArray[np.float64]:
-        return data.body("cuboid").xpos - data.site("gripper/tcp").xpos
-
-    held = in_gripper()
-    mujoco.mj_step(model, data, nstep=1500)
-    np.testing.assert_allclose(in_gripper(), held, atol=1e-3)
-    assert data.body("cuboid").xpos[2] > 0.15

@@ -132,11 +132,8 @@ def test_limits_and_joint_dynamics_equal_the_table(arm: mujoco.MjModel, figures:
         assert list(actuator.ctrlrange) == row["range"]
         assert SO101.effort_limit[i] == row["force"]
         np.testing.assert_array_equal(arm.jnt_actfrcrange[joint.id], [-row["force"], row["force"]])
-        assert [joint.armature[0], joint.damping[0], joint.frictionloss[0]] == [
-            row["armature"],
-            row["damping"],
-            row["frictionloss"],
-        ]
+        for name in ("armature", "damping", "frictionloss"):
+            assert getattr(joint, name)[0] == row[name]
 
 
 def test_servos_neither_swing_nor_saturate_on_the_way(arm: mujoco.MjModel) -> None:

@@ -1,10 +1,8 @@
-"""The SO101 gripper: published figures, opening and closing, and a grasp."""
+"""The SO101 gripper: published figures, opening and closing; test_gripper_motion.py lifts things."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -13,15 +11,12 @@ import pytest
 from numpy.typing import NDArray
 
 from rcs.robots.so101 import SO101_GRIPPER
-
-AboveACuboid = Callable[..., tuple[mujoco.MjModel, mujoco.MjData]]
-
-CUBOID = (0.040, 0.020, 0.036)
+from tests.robots.published import read_figures
 
 
 @pytest.fixture(scope="module")
 def figures() -> dict[str, Any]:
-    return json.loads((Path(__file__).parent / "data" / "so101.json").read_text())
+    return read_figures("so101")
 
 
 @pytest.fixture
@@ -119,32 +114,3 @@ def test_the_jaw_opens_and_closes_fully_at_its_closing_speed(gripper: mujoco.MjM
         assert abs(data.qvel[0]) * tip == pytest.approx(SO101_GRIPPER.closing_speed, rel=0.1)
         mujoco.mj_step(gripper, data, nstep=300)
         assert data.qpos[0] == pytest.approx(ctrl, abs=1e-3)
-
-
-@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.005, -0.006)])
-def test_a_small_cuboid_is_lifted_and_held_for_three_seconds(
-    above_a_cuboid: AboveACuboid, offset: tuple[float, float]
-) -> None:
-    model, data = above_a_cuboid(SO101_GRIPPER, CUBOID, 0.015, offset)
-    lift, jaw = data.actuator("lift"), data.actuator(f"gripper/{SO101_GRIPPER.actuator}")
-    jaw.ctrl[0] = SO101_GRIPPER.ctrl_closed
-    mujoco.mj_step(model, data, nstep=600)
-    for step in range(250):
-        lift.ctrl[0] = 0.15 * step / 250
-        mujoco.mj_step(model, data)
-    mujoco.mj_step(model, data, nstep=150)
-
-    force, by_pad = np.zeros(6), {"gripper/moving_pad": 0.0, "gripper/fixed_pad": 0.0}
-    for index, contact in enumerate(data.contact):
-        mujoco.mj_contactForce(model, data, index, force)
-        (pad,) = {model.geom(int(geom)).name for geom in contact.geom} & by_pad.keys()
-        by_pad[pad] += force[0]
-    assert list(by_pad.values()) == pytest.approx([SO101_GRIPPER.grasp_force] * 2, rel=0.1)
-
-    def in_gripper() -> NDArray[np.float64]:
-        return data.body("cuboid").xpos - data.site("gripper/tcp").xpos
-
-    held = in_gripper()
-    mujoco.mj_step(model, data, nstep=1500)
-    np.testing.assert_allclose(in_gripper(), held, atol=1e-3)
-    assert data.body("cuboid").xpos[2] > 0.15

@@ -119,11 +119,8 @@ def test_joint_dynamics_and_servo_gains_equal_the_table(arm: mujoco.MjModel, fig
     for i, row in enumerate(figures["servos"]):
         assert (row["joint"], row["actuator"]) == (UR5E.joints[i], UR5E.actuators[i])
         joint, actuator = arm.joint(row["joint"]), arm.actuator(row["actuator"])
-        assert [joint.armature[0], joint.damping[0], joint.frictionloss[0]] == [
-            row["armature"],
-            row["damping"],
-            row["frictionloss"],
-        ]
+        for name in ("armature", "damping", "frictionloss"):
+            assert getattr(joint, name)[0] == row[name]
         assert actuator.gainprm[0] == row["kp"]
         np.testing.assert_array_equal(actuator.biasprm[:3], [0.0, -row["kp"], -row["kv"]])
         np.testing.assert_array_equal(actuator.ctrlrange, joint.range)
