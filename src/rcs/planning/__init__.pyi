@@ -7,5 +7,4 @@ from rcs.planning.path import Samples as Samples
 from rcs.planning.path import TimedPath as TimedPath
 from rcs.planning.path import diversity as diversity
 from rcs.planning.path import time_path as time_path
-from rcs.planning.planner import PLANNERS as PLANNERS
 from rcs.planning.planner import Planner as Planner

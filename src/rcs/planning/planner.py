@@ -18,8 +18,6 @@ from rcs.kinematics import freedom_of
 from rcs.planning.path import JointLimits, Path, TimedPath, time_path
 from rcs.spatial import Pose
 
-PLANNERS = ("RRT", "RRTConnect", "RRTstar", "FMT", "BITstar")
-"""Tested planners, which return the same path for the same seed; OMPL has other geometric ones."""
 OPTIMISING = ("RRTstar", "BITstar", "PRMstar", "InformedRRTstar", "SORRTstar", "AORRTC")
 """Planners that improve their path until their iterations are up."""
 RANGE = 0.6
@@ -62,7 +60,7 @@ class Planner:
     margin: float = 0.005
     """Distance that paths keep [m]. Where the start is nearer, or every goal, this path keeps theirs."""
     planner: str = "RRTConnect"
-    """Name of a planner: RRT, RRTConnect, RRTstar, FMT, BITstar, or another one of OMPL."""
+    """Name of a planner: RRT, RRTConnect, RRTstar, FMT and BITstar are tested; OMPL has other geometric ones."""
     time_limit: float = 5.0
     """Longest search [s]."""
     iterations: int = 1000
