@@ -129,8 +129,9 @@ class SimTactile:
         world = self._world
         if self._shapes is None:
             # Rays pass through the body that carries the sensor: a finger may reach into the housing, before the gel.
-            self._shapes = copying.copy(world.model)
-            self._shapes.geom_group[self._is_own] = UNFELT_GROUP
+            shapes: mujoco.MjModel = copying.copy(world.model)
+            shapes.geom_group[self._is_own] = UNFELT_GROUP
+            self._shapes = shapes
         model = self._shapes
         for field in FELT_FIELDS:
             values = world.core.expanded(field) if world.leading else None

@@ -245,7 +245,7 @@ class Operator(Agent):
 
     def _take_requests(self) -> None:
         for buttons in (*self.news.pressed.values(), self.news.requests):
-            self._events += [button for button in buttons if button in REQUESTS]
+            self._events.extend(request for request in REQUESTS if request in buttons)
 
 
 def notes_of(device: InputDevice | type[InputDevice], hands: Iterable[str] | None = None) -> list[Note]:
