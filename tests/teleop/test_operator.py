@@ -12,7 +12,8 @@ import rcs
 from rcs.agents import Agent, Guide, PerRobot
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.spatial import distance
-from rcs.teleop import HandReading, LeadOptions, Operator, Takeover
+from rcs.teleop import Button, HandReading, LeadOptions, Operator, Takeover
+from rcs.teleop.feed import News
 from tests.teleop.scripted_device import LEVEL, Led, ScriptedDevice, at, held
 
 MODES = [
@@ -356,3 +357,14 @@ def test_a_loop_that_was_held_up_holds_until_the_clutch_is_pressed_anew(lead: Ca
     places = led.run(0.3)
     assert led.operator.states == {"right": "engaged"}
     assert places[:, 1].min() > before[1] - 2e-3  # it goes on from where it is, and not from where it stopped before
+
+
+def test_requests_of_a_loop_that_was_held_up_keep_their_order_and_number(
+    lead: Lead, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    led = lead(lambda _: held(at(0.0, 0.0, 1.0)))
+    pressed: list[Button] = ["success", "start", "takeover", "clutch", "takeover"]
+    monkeypatch.setattr(led.operator.feed, "poll", lambda: News(pressed={"right": pressed}, requests=["stop"]))
+    led.run(1.0 / led.env.frequency)
+    assert led.operator.events() == ["success", "start", "takeover", "takeover", "stop"]
+    assert led.operator.events() == []

@@ -245,7 +245,7 @@ class Operator(Agent):
 
     def _take_requests(self) -> None:
         for buttons in (*self.news.pressed.values(), self.news.requests):
-            self._events.extend(request for request in REQUESTS if request in buttons)
+            self._events.extend(request for button in buttons for request in REQUESTS if request == button)
 
 
 def notes_of(device: InputDevice | type[InputDevice], hands: Iterable[str] | None = None) -> list[Note]:
