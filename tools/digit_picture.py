@@ -18,7 +18,7 @@ from rcs.errors import MissingDependency
 from rcs.robots.description import Mount
 from rcs.robots.tactile import DIGIT
 from rcs.sim import Scene, World
-from rcs.sim.tactile import Look, SimTactile
+from rcs.sim.tactile import SimTactile, TactileLook
 from rcs.sim.tactile_mounts import TactilePlacement
 
 TOUCH = TactilePlacement(name="touch", sensor=DIGIT, parent_body="world", sensor_in_parent=Mount())
@@ -31,7 +31,7 @@ PRESSES: dict[str, tuple[mujoco.mjtGeom, list[float], float, float, list[float]]
 }
 
 
-def press(name: str, look: Look) -> NDArray[np.uint8]:
+def press(name: str, look: TactileLook) -> NDArray[np.uint8]:
     """Return the frame of one press, (240, 320, 3)."""
     shape, size, reach, depth, (roll, yaw) = PRESSES[name]
     scene = Scene.empty()

@@ -83,10 +83,12 @@ def test_a_class_of_ones_own_is_served_with_its_options(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("own:Mine", "--horizn", "3"), "valid: --checkpoint, --horizon, --scale, --name"),
+        (("own:Mine", "--horizn", "3"), "valid: --checkpoint, --horizon, --scale, --name. Did you mean '--horizon'?"),
         (("own:Mine", "--horizon"), "--name value"),
         (("own:Yours",), "valid is module:Class"),
         (("missing:Mine",), "valid is module:Class"),
+        (("own:",), "valid is module:Class"),
+        (("own:__name__",), "is str; valid is module:Class"),
         (("json:loads", "--checkpoint", "5"), "valid is a vlagents.Policy"),
         (("json:loads",), "cannot be made"),
         (("random", "--sise", "3"), "has no option --sise"),

@@ -97,7 +97,7 @@ def check_robot(robot: RobotPlacement, model: mujoco.MjModel) -> None:
     _require_base(robot, _at_home(robot, model))
     joints, tcp = sag_of(robot, model)
     worst = int(np.abs(joints).argmax())
-    if robot.compliance is None and (abs(joints[worst]) > MAX_JOINT_SAG or tcp > MAX_TCP_SAG):
+    if robot.compliance is None and not (abs(joints[worst]) <= MAX_JOINT_SAG and tcp <= MAX_TCP_SAG):
         warnings.warn(
             f"Robot {robot.name!r} sags: while holding its home pose, joint {robot.arm.joints[worst]!r} gives way by  "
             f"{abs(joints[worst]):.3g} rad and the TCP by {1e3 * tcp:.2g} mm, so that it misses what it "

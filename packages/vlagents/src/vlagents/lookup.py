@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 import inspect
 import json
-import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -15,9 +15,7 @@ from vlagents.errors import InvalidInput
 
 def unknown(what: str, name: str, known: Sequence[str]) -> InvalidInput:
     """Return the error about an unknown name, which lists the known ones."""
-    near = difflib.get_close_matches(name, known, 1)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
-    return InvalidInput(f"There is no {what} {name!r}; there are {', '.join(known) or 'none'}.{hint}")
+    return InvalidInput(f"There is no {what} {name!r}; there are {', '.join(known) or 'none'}.{_hint(name, known)}")
 
 
 def find(what: str, place: str, valid: str = "module:Class") -> Callable[..., Any]:
@@ -31,10 +29,14 @@ def find(what: str, place: str, valid: str = "module:Class") -> Callable[..., An
     Raises:
         InvalidInput: There is none.
     """
+    module, _, own = place.partition(":")
     try:
-        return pkgutil.resolve_name(place)
+        found = getattr(importlib.import_module(module), own)
     except (ImportError, AttributeError, ValueError) as error:
         raise InvalidInput(f"There is no {what} {place!r}; valid is {valid}. {error}.") from error
+    if not callable(found):
+        raise InvalidInput(f"The {what} {place!r} is {type(found).__name__}; valid is {valid}.")
+    return found
 
 
 def prepared(
@@ -56,14 +58,22 @@ def prepared(
     signature = inspect.signature(make)
     known = signature.parameters
     if wrong := [option for option in (*options, *more) if option not in known]:
-        valid = ", ".join(f"--{option}" for option in list(known)[len(first) :]) or "none"
-        raise InvalidInput(f"The {what} {name!r} has no option --{wrong[0]}; valid: {valid}.")
+        valid = [f"--{option}" for option in list(known)[len(first) :]]
+        hint = _hint(f"--{wrong[0]}", valid)
+        raise InvalidInput(
+            f"The {what} {name!r} has no option --{wrong[0]}; valid: {', '.join(valid) or 'none'}.{hint}"
+        )
     given = {option: _value(text, known[option].annotation) for option, text in options.items()} | more
     try:
         signature.bind(*first, **given)
     except TypeError as error:
         raise InvalidInput(f"The {what} {name!r} cannot be made: {error}.") from error
     return partial(make, *first, **given)
+
+
+def _hint(name: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, known, 1)
+    return f" Did you mean {near[0]!r}?" if near else ""
 
 
 def _value(text: str, annotation: object) -> Any:

@@ -171,7 +171,8 @@ class WebsocketServer(WireServer):
     def _answer(self, caller: Caller, message: str | memoryview) -> dict[str, Any]:
         values = None if isinstance(message, str) else unpack(message)
         if not isinstance(values, Mapping):
-            raise BadMessage(f"A message is text or {type(values).__name__}; valid is a dictionary in msgpack.")
+            kind = "text" if isinstance(message, str) else type(values).__name__
+            raise BadMessage(f"A message is {kind}; valid is a dictionary in msgpack.")
         own = values.get(OWN)
         if own is not None and not isinstance(own, Mapping):
             raise BadMessage(f"{OWN!r} is {type(own).__name__}; valid is a dictionary.")

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
 from rcs_data.check.folder import is_as_written
@@ -80,14 +81,18 @@ class EpisodeBytes:
         return altered
 
     def _check_rows(self) -> Iterator[Finding]:
-        content, pieces = ContentHash(self._info), list[pa.Table]()
+        content, pieces, not_finite = ContentHash(self._info), list[pa.Table](), dict[str, list[int]]()
         first = 0
         try:
             for rows in EpisodeRecord(self._place.folder, self._info).rows():
                 for key in self.rows.frames:
                     yield from self._check_images(key, rows.column(key), first)
                 content.add(rows)
-                pieces.append(rows.select([name for name in rows.column_names if name not in self.rows.frames]))
+                pieces.append(rows.select(self.rows.wanted))
+                for key in rows.column_names:
+                    if key not in self.rows.frames and not key.startswith(NOTES):
+                        bad = _not_finite(rows.column(key), rows.num_rows)
+                        not_finite.setdefault(key, []).extend((first + bad).tolist())
                 first += rows.num_rows
         except CorruptEpisode as err:
             yield self._damage("unreadable", str(err), STEPS_FILE)
@@ -95,12 +100,10 @@ class EpisodeBytes:
         self.rows.length = first
         if pieces:
             self.rows.numbers = pa.concat_tables(pieces)
-        for key in self.rows.numbers.column_names:
-            numbers = flat_numbers(self.rows.numbers.column(key))
-            if numbers.dtype.kind == "f" and not key.startswith(NOTES):
-                bad = np.flatnonzero(~np.isfinite(numbers.reshape(first, -1)).all(axis=1))
-                if len(bad):
-                    yield self._place.warning("not_finite", f"{key!r} is not finite in {counted(len(bad), 'row')}", bad)
+        for key, bad in not_finite.items():
+            if bad:
+                message = f"{key!r} is not finite in {counted(len(bad), 'row')}"
+                yield self._place.warning("not_finite", message, np.array(bad))
         if content.hexdigest() != self.rows.about["content_hash"]:
             yield self._damage("content", "its values are not those that were written", STEPS_FILE)
 
@@ -161,3 +164,11 @@ def sha256_of(path: Path) -> str:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
+
+
+def _not_finite(column: pa.ChunkedArray, rows: int) -> NDArray[np.intp]:
+    """Return the rows in which a number of a column is not finite."""
+    numbers = flat_numbers(column)
+    if numbers.dtype.kind != "f":
+        return np.empty(0, np.intp)
+    return np.flatnonzero(~np.isfinite(numbers.reshape(rows, -1)).all(axis=1))

@@ -1,4 +1,4 @@
-"""The rows of an episode, as its checks need them: all numbers, and the state of each image."""
+"""The rows of an episode, as its checks need them: times, flags and joints, and the state of each image."""
 
 from __future__ import annotations
 
@@ -60,15 +60,17 @@ class FrameLog:
 
 
 class EpisodeRows:
-    """The columns of numbers, and the state of each image per row."""
+    """The columns of times, flags and joints, and the state of each image per row."""
 
     def __init__(self, info: DatasetInfo) -> None:
         self.info = info
         self.length = 0
         self.about: dict[str, Any] = {}
         self.frames = {f.key: FrameLog() for f in info.features if f.is_image}
+        self.wanted = [f.key for f in info.features if f.is_time or f.is_flags or is_joints(f)]
+        """Columns that are kept: others, such as states of the simulation, may be large."""
         self.numbers = pa.table({})
-        """All columns but images, once they are read."""
+        """These columns, once they are read."""
 
     def column(self, key: str) -> NDArray[Any] | None:
         """Return a column, shape (length, *feature.shape); None if the dataset has no such key."""

@@ -155,6 +155,10 @@ def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[Episode
     ids = options.episodes
     if ids is not None and len(set(ids)) < len(ids):
         raise InvalidSetup(f"Episodes are given twice: {', '.join(sorted({i for i in ids if ids.count(i) > 1}))}.")
+    if unknown := [i for i in ids or () if i not in dataset]:
+        raise InvalidSetup(
+            f"There is no episode {', '.join(unknown)} in {dataset.path}, which has {len(dataset)} episodes."
+        )
     kept = tuple(episode for episode in _wanted(dataset, options) if episode.length > 1)
     if not kept:
         wanted = "that succeeded and has" if options.success_only else "with"

@@ -192,7 +192,7 @@ class Windows(Sequence[Window]):
             IndexError: There is no such window.
             CorruptEpisode: An episode is damaged.
         """
-        places = [self._place(index) for index in indices]
+        places = [self.place(index) for index in indices]
         steps = np.array([step for _, step in places], np.int64)
         lasts = np.array([episode.length - 2 for episode, _ in places], np.int64)
         seen = steps[:, None] + np.arange(1 - self.history, 1)
@@ -250,8 +250,12 @@ class Windows(Sequence[Window]):
                 on_progress(done, len(self.episodes))
         return {name: statistics.result() for name, statistics in running.items()}
 
-    def _place(self, index: SupportsIndex) -> tuple[EpisodeRecord, int]:
-        """Return the episode and the step of a window."""
+    def place(self, index: SupportsIndex) -> tuple[EpisodeRecord, int]:
+        """Return the episode and the step of a window.
+
+        Raises:
+            IndexError: There is no such window.
+        """
         number = operator.index(index)
         wanted = number + len(self) if number < 0 else number
         if not 0 <= wanted < len(self):
