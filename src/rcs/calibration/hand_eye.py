@@ -74,8 +74,8 @@ class HandEye:
     held_out_degrees: float
     """The same of their rotations [degrees]."""
     given_off: NDArray[np.float64]
-    """What explains the pictures better than what is given, (4,): share by which focal lengths are longer, how far the
-    principal point is off in x and y [px], and share by which the board is larger."""
+    """Errors of the given lens and board that would explain the pictures better, (4,): share by which focal lengths are
+    longer, how far the principal point is off in x and y [px], and share by which the board is larger."""
     alarms: tuple[str, ...]
     """Problems found, in words; empty if all is well."""
 

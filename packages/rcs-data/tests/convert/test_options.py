@@ -1,4 +1,4 @@
-"""What all exports do with their options, with what is there already, and without a package that they need."""
+"""Laws of all exports: their options, an output that is there already, and a package that is missing."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class Observers:
         self._observers: list[tuple[int, Observer]] = []
         self._notes: dict[str, Any] = {}
         self._last: dict[int, dict[str, Any]] = {}
-        """What transitions have of simulation and sensors, at the moments that were shown last, by copy."""
+        """Fields of transitions from simulation and sensors, at the moments that were shown last, by copy."""
         self.command_time: float | None = None
         """Time at which the targets of the present step were sent [s]."""
         self.after_hold = False
