@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from vlagents import (
-    BadMessage,
     Chunk,
     ConnectionLost,
     InvalidInput,
@@ -21,6 +20,7 @@ from vlagents import (
     Observation,
     PartSpec,
     Policy,
+    PolicyFailed,
     VlagentsError,
 )
 from vlagents.websocket import WebsocketClient, WebsocketServer
@@ -89,7 +89,7 @@ def ours_asks_theirs(python: str) -> dict[str, float]:
             assert chunk.actions.tolist() == [expected] * 8, chunk.actions
             assert (chunk.period, chunk.time) == (0.05, 2.5), chunk
             fails = Observation(state={"state": np.zeros(7)}, instruction="fail")
-            assert "on purpose" in failure(client, fails, BadMessage)
+            assert "on purpose" in failure(client, fails, PolicyFailed)
             failure(client, observation, ConnectionLost)
             client.reset()
             assert client.infer(observation).actions.shape == (8, 8)
