@@ -133,8 +133,8 @@ class MotionContract(StoppingContract[D]):
     def test_a_command_ends_when_its_time_is_over(self) -> None:
         """The device holds by itself, without a fault, and takes the next command.
 
-        A machine that is busy holds it late. How late is seen by a stopwatch, which is held after it; a device that may
-        have arrived by then is sent once more.
+        A machine that is busy holds it late. How late is seen by a stopwatch, whose command ends next; a device that
+        may have arrived by then is sent once more.
         """
         with self.open_device() as device, Stopwatch() as stopwatch:
             target: Any = None
@@ -145,6 +145,7 @@ class MotionContract(StoppingContract[D]):
                 stopwatch.command_opening(0.0, valid_for=0.03)
                 self.stop(lambda: wait_until(lambda: not math.isnan(stopwatch.held)))
                 self._stopped = stopwatch.held
+                time.sleep(0.1)  # a thread of its own holds each of the two: that of the device may come second
                 if not self.may_have_arrived:
                     break
                 self.advance(self.stopping_time)
@@ -189,7 +190,7 @@ class MotionContract(StoppingContract[D]):
 
 
 class Stopwatch(FakeGripper):
-    """Is held after what was commanded just before it for the same time, and says when."""
+    """Notes when it is held, for a device that was commanded just before it for the same time."""
 
     held: float = math.nan
 
