@@ -63,8 +63,8 @@ def test_training_takes_videos_that_ffmpeg_reads(lerobot: Any, tmp_path: Path, c
         episode.finish(True)
     loads = "yes" in lerobot.run("python", "-c", IMPORT_TORCHCODEC)
     command = TrainCommand(
-        policy="act", dataset=tmp_path / "nods", environment=lerobot.folder, out=tmp_path / "run", steps=2,
-        lerobot=("batch_size=2", "policy.dim_model=32", "policy.n_heads=2", "policy.dim_feedforward=64"),
+        policy="act", dataset=tmp_path / "nods", lerobot_environment=lerobot.folder, out=tmp_path / "run",
+        steps=2, lerobot=("batch_size=2", "policy.dim_model=32", "policy.n_heads=2", "policy.dim_feedforward=64"),
     )  # fmt: skip
     assert command.run() == (0 if loads else 1)
     assert ("finds no FFmpeg" in capfd.readouterr().err) is not loads
