@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Generator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,6 +55,41 @@ class TestFrankaHand(GripperContract):
 
     def make_device(self) -> FrankaHand:
         return FrankaHand(ADDRESS, FRANKA_HAND)
+
+
+class Counting:
+    """The library's hand, which counts the calls of `stop` that are made at once."""
+
+    def __init__(self, hand: Any) -> None:
+        self.hand, self.now, self.most, self.stops = hand, 0, 0, 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.hand, name)
+
+    def stop(self) -> bool:
+        self.now, self.stops = self.now + 1, self.stops + 1
+        self.most = max(self.most, self.now)
+        time.sleep(0.05)
+        stopped = self.hand.stop()
+        self.now -= 1
+        return bool(stopped)
+
+
+def test_the_library_gets_one_stop_at_a_time_and_a_newer_motion_none():
+    with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
+        hand.command_opening(1.0)
+        wait_until(hand.has_arrived)
+        counting = hand._hand = Counting(hand._hand)
+        hand.command_opening(0.0, 20.0)
+        wait_until(lambda: hand._is_busy)
+        holding = threading.Thread(target=hand.hold)
+        holding.start()
+        wait_until(lambda: counting.now == 1)
+        hand.command_opening(0.5, 20.0)
+        holding.join()
+        assert (counting.most, counting.stops) == (1, 1)
+        wait_until(hand.has_arrived)
+        assert hand.state().opening == pytest.approx(0.5, abs=0.02)
 
 
 def test_fingers_close_while_the_arm_moves_and_nobody_waits_for_them(arm: FrankaArm):

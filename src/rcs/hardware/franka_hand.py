@@ -45,6 +45,8 @@ class FrankaHand(Gripper):
         self._wanted: tuple[float, float] | None = None  # width [m], force [N]
         self._given: tuple[float, float] | None = None  # the command in progress, or the last one
         self._is_busy = self._is_homing = False
+        self._motion = self._stopped = 0  # numbers of the latest motion, and of the latest one that was stopped
+        self._stopping = threading.Lock()
         self._is_held = False  # since the motion in progress was commanded
         self._over_since = 0.0  # time of the last stop of the motion in progress
         self._ends = threading.Event()  # of one connection
@@ -67,7 +69,7 @@ class FrankaHand(Gripper):
             if self._is_busy or self._wanted is not None:
                 raise WrongOrder(f"{self.name}: home was called while the fingers move; wait until has_arrived()")
             self._is_busy = self._is_homing = True
-            self._is_held = False
+            self._is_held, self._motion = False, self._motion + 1
         try:
             self._hand.homing()
         except Exception as err:  # the library's exceptions have no common base class
@@ -130,10 +132,9 @@ class FrankaHand(Gripper):
             if _is_same(wanted, self._wanted or self._given or (self._state_now.width, wanted[1])):
                 return
             self._wanted, self._over_since = wanted, time.monotonic()
-            is_busy = self._is_busy
+            motion = self._motion
             self._news.notify_all()
-        if is_busy:
-            self._hand.stop()
+        self._end(motion)
 
     def _has_arrived(self) -> bool:
         self._state()
@@ -142,12 +143,21 @@ class FrankaHand(Gripper):
 
     def _hold(self) -> None:
         with self._news:
-            self._wanted = None
-            is_busy = self._is_busy
-            if is_busy:
+            self._wanted, motion = None, self._motion
+            if self._is_busy:
                 self._given, self._is_held, self._over_since = None, True, time.monotonic()
-        if is_busy and not self._problem:
-            self._hand.stop()
+        if not self._problem:
+            self._end(motion)
+
+    def _end(self, motion: int) -> None:
+        """Stop the fingers once if they are still in a motion, by one call at a time.
+
+        The library keeps the answers for all threads in one table, which calls that end together may damage.
+        """
+        with self._stopping:
+            if self._is_busy and motion == self._motion != self._stopped:
+                self._hand.stop()
+                self._stopped = motion
 
     def _recover(self) -> None:
         if self._is_silent:  # the library cannot reconnect, and the hand serves one connection
@@ -182,7 +192,8 @@ class FrankaHand(Gripper):
                 return
             self._state_now, self._measured_at = state, time.monotonic()
             with self._news:
-                is_late = self._is_busy and self._is_over and time.monotonic() > self._over_since + STOPPING
+                is_over = self._is_busy and self._is_over and not self._stopping.locked()
+                is_late = is_over and time.monotonic() > self._over_since + STOPPING
                 if is_late:  # the stop preceded the library's call, and had no effect
                     self._over_since = time.monotonic()
             if is_late:
@@ -198,7 +209,7 @@ class FrankaHand(Gripper):
                 if ends.is_set() or self._wanted is None:
                     return
                 self._given, self._wanted = self._wanted, None
-                self._is_busy, self._is_held = True, False
+                self._is_busy, self._is_held, self._motion = True, False, self._motion + 1
                 width, force = self._given
             try:
                 self._move(hand, width, force)
