@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from fractions import Fraction
-from functools import cached_property
 from typing import Any, Literal, get_args
 
 import mujoco
@@ -43,7 +42,6 @@ DIVERGENCE = (
     mujoco.mjtWarning.mjWARN_BADCTRL,
 )
 """Warnings of MuJoCo that make a step fail."""
-_READOUTS = ("poses", "xyzrpy", "forces", "openings", "measurements")
 
 
 class World:
@@ -110,6 +108,19 @@ class World:
         self._nominal: dict[str, NDArray[Any]] = {}
         self._fields: dict[str, NDArray[Any]] = {}
         self._scratch: mujoco.MjData | None = None
+        self._take_readouts()
+
+    def _take_readouts(self) -> None:
+        self.poses = self.core.poses
+        """Live poses registered with `read_pose`, (*leading, readouts, 7): translation [m], quaternion xyzw."""
+        self.xyzrpy = self.core.xyzrpy
+        """The same poses as translation [m] and roll, pitch, yaw [rad], (*leading, readouts, 6)."""
+        self.forces = self.core.forces
+        """Live forces registered with `core.read_force`, (*leading, readouts) [N]."""
+        self.openings = self.core.openings
+        """Live openings registered with `core.read_opening`, (*leading, readouts), 0 … 1."""
+        self.measurements = self.core.measurements
+        """Live values registered with `core.measure`, (*leading, values)."""
 
     def close(self) -> None:
         """Drop the callbacks and end the threads; later calls raise WrongOrder, but closing twice is harmless.
@@ -181,31 +192,6 @@ class World:
         self.refresh()
         return index
 
-    @cached_property
-    def poses(self) -> NDArray[np.float64]:
-        """Live poses registered with `read_pose`, (*leading, readouts, 7): translation [m], quaternion xyzw."""
-        return self.core.poses
-
-    @cached_property
-    def xyzrpy(self) -> NDArray[np.float64]:
-        """The same poses as translation [m] and roll, pitch, yaw [rad], (*leading, readouts, 6)."""
-        return self.core.xyzrpy
-
-    @cached_property
-    def forces(self) -> NDArray[np.float64]:
-        """Live forces registered with `core.read_force`, (*leading, readouts) [N]."""
-        return self.core.forces
-
-    @cached_property
-    def openings(self) -> NDArray[np.float32]:
-        """Live openings registered with `core.read_opening`, (*leading, readouts), 0 … 1."""
-        return self.core.openings
-
-    @cached_property
-    def measurements(self) -> NDArray[np.float64]:
-        """Live values registered with `core.measure`, (*leading, values)."""
-        return self.core.measurements
-
     @property
     def period(self) -> float:
         """Control period [s]."""
@@ -234,9 +220,8 @@ class World:
 
     def refresh(self, copies: Copies = None) -> None:
         """Recompute the readouts (poses, forces) after writing the state, or after adding some to `core`."""
-        for views in _READOUTS:
-            self.__dict__.pop(views, None)
         self.core.refresh(*_chosen(copies))
+        self._take_readouts()
 
     def save(self, copies: Copies = None) -> NDArray[np.float64]:
         """Return everything that decides the future of copies, and the readouts, (copies, values)."""
