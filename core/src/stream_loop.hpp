@@ -127,7 +127,9 @@ struct StreamedArm::Loop {
         late = 0;
         continue;
       }
-      next += tick_time;
+      // On multiples of the period, all arms of one rate tick at the same moments and follow together what they are
+      // commanded at once.
+      next = (std::floor(next * arm.options_.rate + 0.5) + 1.0) / arm.options_.rate;
       const timespec until{static_cast<time_t>(next), static_cast<long>((next - std::floor(next)) * 1e9)};
       while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr) == EINTR) continue;
       const auto left_out = static_cast<int>(std::clamp((monotonic_time() - next) / tick_time, 0.0, 1e6));

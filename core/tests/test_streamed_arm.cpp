@@ -252,6 +252,28 @@ void what_came_right_before_guiding_ends_with_it() {
   }
 }
 
+void arms_of_one_rate_tick_at_the_same_moments() {
+  rcs::StreamOptions options;
+  options.rate = 100.0;
+  options.missed_ticks = 10000;
+  for (const auto delay : {0ms, 3ms, 7ms}) {
+    std::this_thread::sleep_for(delay);
+    Servo arm(options);
+    arm.open();
+    arm.command_joints(arm.joints);
+    Values phases;
+    for (double before = arm.state().time; phases.size() < 31;) {
+      await([&] { return arm.state().time != before; });
+      before = arm.state().time;
+      const double ticks = before * options.rate;
+      phases.push_back(ticks - std::round(ticks));
+    }
+    std::ranges::nth_element(phases, phases.begin() + 15);
+    CHECK(std::abs(phases[15]) < 0.1);  // most wake within a millisecond
+    arm.close();
+  }
+}
+
 }  // namespace
 
 int main() {
@@ -265,5 +287,6 @@ int main() {
   an_arm_that_is_found_in_the_margin_may_stay_there();
   a_person_guides_the_arm_until_it_is_held();
   what_came_right_before_guiding_ends_with_it();
+  arms_of_one_rate_tick_at_the_same_moments();
   return rcs::test::result();
 }

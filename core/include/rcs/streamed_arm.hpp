@@ -35,7 +35,7 @@ struct TcpBox {
 struct StreamOptions {
   double rate = 1000.0;           ///< points per second, 10 … 2000
   double period = 1.0 / 30.0;     ///< time between commands [s]
-  bool is_paced_by_read = false;  ///< `read` returns once per tick and is waited for; else the host's clock is
+  bool is_paced_by_read = false;  ///< `read` returns once per tick and is waited for; else multiples of the period are
   double margin = 0.0;            ///< rad, that targets keep from the ends of the joints' ranges
   double first_step = 0.2;        ///< rad, how far from the measured joints the first target may be
   double tracking_error = 0.3;    ///< rad, between where a joint is led and measured; more is a fault

@@ -34,7 +34,7 @@ from rcs.robots.description import ArmDescription, GripperDescription
 from rcs.robots.fr3 import FR3
 from rcs.robots.franka_hand import FRANKA_HAND
 
-RATE: Final = 500.0
+RATE: Final = 1000.0
 """Rate of updates of the reference [Hz]."""
 STOPPING: Final = 0.5
 """Timeout for the confirmation of a stop [s]."""
