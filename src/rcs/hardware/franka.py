@@ -36,6 +36,8 @@ from rcs.robots.franka_hand import FRANKA_HAND
 
 RATE: Final = 1000.0
 """Rate of updates of the reference [Hz]."""
+STALL: Final = 0.1
+"""Longest time without an update of the reference, during which the arm keeps to the last one [s]; our choice."""
 STOPPING: Final = 0.5
 """Timeout for the confirmation of a stop [s]."""
 TORQUE_STEP: Final = 0.99
@@ -104,6 +106,7 @@ def stream_options(rate: float, *, is_stiff: bool, is_paced_by_read: bool = Fals
     return StreamOptions(
         rate=rate,
         is_paced_by_read=is_paced_by_read,
+        missed_ticks=round(rate * STALL),
         arrival=0.005 if is_stiff else 0.05,
         tracking_error=0.3 if is_stiff else 1.0,
     )

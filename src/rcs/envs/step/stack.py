@@ -54,6 +54,9 @@ class Stack:
         self.executed_spaces = _space({name: chain.executed_spaces for name, chain in self.chains.items()}).spaces
         """Spaces of the targets that the ports take."""
         self._ports = [(_prefix(name), port) for name, chain in self.chains.items() for port in chain.ports]
+        takers = [(name, port) for name, chain in self.chains.items() for port in chain.ports]
+        self._commanded = sorted(takers, key=lambda one: one[1].joint_space is None)
+        """Arms first, right after one another, so that several move together."""
         self._fallible = [(prefix, port) for prefix, port in self._ports if port.can_fail]
         self._aged = [(prefix, port) for prefix, port in self._ports if type(port).ages is not Port.ages]
         self._measured: Nested = {name: {} for name in self.chains}
@@ -190,9 +193,8 @@ class Stack:
         self._command(self._executed)
 
     def _command(self, targets: Nested) -> None:
-        for name, chain in self.chains.items():
-            for port in chain.ports:
-                port.command(targets[name])
+        for name, port in self._commanded:
+            port.command(targets[name])
 
     def stay(self) -> None:
         """Hold all devices, and have the layers take what they then do for the targets of the last action."""
