@@ -164,10 +164,8 @@ def measure(robot: str, commands: int) -> dict[str, Any]:
         one.virtual.close()
         ticks, points = one.ticks(), one.points()
         late = one.robot_late()
-    rate = RATES[robot]
     found: dict[str, Any] = {"commands": commands, "points": len(points)}
     if robot == "fr3":
-        rate = 500.0
         found |= torques_of(points)
         times, places = np.array([at for at, _ in given]), np.array([point for _, point in given])
     else:
@@ -178,7 +176,7 @@ def measure(robot: str, commands: int) -> dict[str, Any]:
     if robot == "ur5e":  # the first is where the arm stands, and goes before the stream
         kept = np.insert(np.diff(times) <= RESTART, 0, False)
         times, places = times[kept], places[kept]
-    found |= worst(times, places, rate, limits, QUANTA.get(robot, 0.0))
+    found |= worst(times, places, RATES[robot], limits, QUANTA.get(robot, 0.0))
     speed = np.abs(ticks["velocities"]).max(axis=0) / np.array(limits.joint_velocity)
     return found | {"measured_speed": round(float(speed.max()), 3), "ends": dict(ends), "robot_late": late}
 

@@ -39,6 +39,13 @@ inline rcs::StreamOptions on_a_hand_clock() {
   return options;
 }
 
+/// A busy machine is no fault.
+inline rcs::StreamOptions on_its_own_clock() {
+  rcs::StreamOptions options;
+  options.missed_ticks = 10000;
+  return options;
+}
+
 /// Three joints that are where the points say, or follow them with a lag.
 class Servo final : public rcs::StreamedArm {
  public:

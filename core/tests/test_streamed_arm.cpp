@@ -216,9 +216,7 @@ void an_arm_that_is_found_in_the_margin_may_stay_there() {
 }
 
 void a_person_guides_the_arm_until_it_is_held() {
-  rcs::StreamOptions options;
-  options.missed_ticks = 10000;
-  Servo arm(options);
+  Servo arm(on_its_own_clock());
   arm.open();
   arm.command_joints(arm.state().joints);
   await([&] { return arm.ticks() > 2; });
@@ -235,10 +233,9 @@ void a_person_guides_the_arm_until_it_is_held() {
 }
 
 void what_came_right_before_guiding_ends_with_it() {
-  rcs::StreamOptions options;
+  rcs::StreamOptions options = on_its_own_clock();
   options.rate = 10.0;
   options.period = 0.1;
-  options.missed_ticks = 10000;
   for (const auto& before : {+[](Servo& arm) { arm.hold(); }, +[](Servo& arm) { arm.recover(); },
                              +[](Servo& arm) { arm.command_joints(arm.joints); }}) {
     Servo arm(options);
@@ -253,9 +250,8 @@ void what_came_right_before_guiding_ends_with_it() {
 }
 
 void arms_of_one_rate_tick_at_the_same_moments() {
-  rcs::StreamOptions options;
+  rcs::StreamOptions options = on_its_own_clock();
   options.rate = 100.0;
-  options.missed_ticks = 10000;
   for (const auto delay : {0ms, 3ms, 7ms}) {
     std::this_thread::sleep_for(delay);
     Servo arm(options);

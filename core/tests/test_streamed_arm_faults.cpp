@@ -89,8 +89,7 @@ void too_many_missed_ticks_are_a_fault() {
 
 void a_call_that_does_not_return_is_a_fault_and_does_not_keep_the_arm_from_being_stopped() {
   for (const bool is_found_by_measuring : {false, true}) {
-    rcs::StreamOptions options;
-    options.missed_ticks = 10000;
+    rcs::StreamOptions options = on_its_own_clock();
     options.silence = 0.2;
     Servo arm(options);
     arm.open();
@@ -117,9 +116,7 @@ void a_call_that_does_not_return_is_a_fault_and_does_not_keep_the_arm_from_being
 }
 
 void a_stop_that_does_not_return_is_a_fault() {
-  rcs::StreamOptions options;
-  options.missed_ticks = 10000;
-  Servo arm(options);
+  Servo arm(on_its_own_clock());
   arm.open();
   arm.command_joints(arm.state().joints);
   await([&] { return arm.ticks() > 2; });
@@ -132,9 +129,7 @@ void a_stop_that_does_not_return_is_a_fault() {
 }
 
 void a_fault_ends_guiding_before_the_arm_recovers() {
-  rcs::StreamOptions options;
-  options.missed_ticks = 10000;
-  Servo arm(options);
+  Servo arm(on_its_own_clock());
   arm.open();
   for (int k = 0; k < 200; ++k) {
     arm.guide(true);
@@ -146,8 +141,7 @@ void a_fault_ends_guiding_before_the_arm_recovers() {
 }
 
 void an_arm_that_half_starts_or_half_gives_way_is_stopped() {
-  rcs::StreamOptions options;
-  options.missed_ticks = 10000;
+  rcs::StreamOptions options = on_its_own_clock();
   {
     Servo arm(options);
     arm.open();
@@ -176,9 +170,7 @@ void an_arm_that_half_starts_or_half_gives_way_is_stopped() {
 }
 
 void a_reading_that_is_lost_while_a_person_guides_is_recovered_from() {
-  rcs::StreamOptions options;
-  options.missed_ticks = 10000;
-  Servo arm(options);
+  Servo arm(on_its_own_clock());
   arm.open();
   arm.guide(true);
   arm.losses = 1;
@@ -189,8 +181,7 @@ void a_reading_that_is_lost_while_a_person_guides_is_recovered_from() {
 }
 
 void a_guided_arm_that_hangs_is_stopped_by_who_holds_it() {
-  rcs::StreamOptions options;
-  options.missed_ticks = 10000;
+  rcs::StreamOptions options = on_its_own_clock();
   options.silence = 0.2;
   Servo arm(options);
   arm.open();

@@ -215,6 +215,22 @@ def test_own_layers_are_given_as_objects_classes_or_names(layer: Any) -> None:
     both.reset(seed=0)
 
 
+@pytest.mark.parametrize("hardware", [None, "fake:192.0.2.1"])
+def test_arms_are_commanded_right_after_one_another(hardware: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = hardware and {"left": hardware, "right": "fake:192.0.2.2"}
+    with rcs.make("Free", robot="dual_fr3", control="joints", relative=True, hardware=given) as env:
+        env.reset(seed=0)
+        commanded: list[str] = []
+        for name, chain in env.stack.chains.items():
+            for port in chain.ports:
+                key = next(iter(port.action_spaces), "")
+                monkeypatch.setattr(port, "command", lambda action, one=f"{name}/{key}": commanded.append(one))
+        action = {"joints": np.zeros(7), "gripper": np.ones(1)}
+        env.step({"left": action, "right": action})
+    taken = [one for one in commanded if not one.endswith("/")]
+    assert taken == ["left/joints", "right/joints", "left/gripper", "right/gripper"]
+
+
 def test_two_robots_do_not_share_a_layer() -> None:
     with pytest.raises(InvalidSetup, match="each robot its own"):
         rcs.make("Free", robot="dual_fr3", layers=[Loud()])
