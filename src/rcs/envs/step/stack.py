@@ -53,9 +53,9 @@ class Stack:
         self.observation_space = _space({name: chain.observation_spaces for name, chain in self.chains.items()})
         self.executed_spaces = _space({name: chain.executed_spaces for name, chain in self.chains.items()}).spaces
         """Spaces of the targets that the ports take."""
-        self._ports = [(_prefix(name), port) for name, chain in self.chains.items() for port in chain.ports]
-        takers = [(name, port) for name, chain in self.chains.items() for port in chain.ports]
-        self._commanded = sorted(takers, key=lambda one: one[1].joint_space is None)
+        named = [(name, port) for name, chain in self.chains.items() for port in chain.ports]
+        self._ports = [(_prefix(name), port) for name, port in named]
+        self._commanded = sorted(named, key=lambda one: one[1].joint_space is None)
         """Arms first, right after one another, so that several move together."""
         self._fallible = [(prefix, port) for prefix, port in self._ports if port.can_fail]
         self._aged = [(prefix, port) for prefix, port in self._ports if type(port).ages is not Port.ages]
