@@ -36,6 +36,12 @@ def test_30_hz_at_2_ms_alternates_16_17_17_substeps_and_is_exact_in_the_mean(car
     assert world.core.steps[0] == 300
 
 
+def test_mujoco_reads_no_clock_for_its_profile(cart: mujoco.MjModel) -> None:
+    data = mujoco.MjData(cart)
+    World(cart, data=data).advance()
+    assert [timer.duration for timer in data.timer] == [0.0] * len(data.timer)
+
+
 @pytest.mark.parametrize("copies", [None, 3])
 def test_a_frequency_that_divides_the_physics_has_equal_steps(cart: mujoco.MjModel, copies: int | None) -> None:
     world = World(cart, frequency=100.0, copies=copies, threads=2)

@@ -45,6 +45,7 @@ struct ModelField {
   int size = 0;
 };
 
+/// The first one of a process turns MuJoCo's own profile, `mjData.timer`, off.
 class World {
  public:
   /// One copy, working directly on the caller's model and data, which `owner` keeps alive; without one, both must
