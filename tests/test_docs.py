@@ -152,3 +152,9 @@ def test_every_public_name_has_a_place_in_the_reference() -> None:
     missing = [f"{package}.{name}" for package in site.PACKAGES for name in site.homes_of(package)
                if f"{package}.{name}" not in text]  # fmt: skip
     assert missing == []
+
+
+def test_examples_of_docstrings_are_shown_as_code() -> None:
+    sources = [file for folder in ("src", "packages") for file in (ROOT / folder).rglob("*.py")]
+    wrong = [name_of(file) for file in sources if re.search(r"^ *Example:$", file.read_text("utf-8"), re.MULTILINE)]
+    assert wrong == [], "Examples:, with an s, is the section of code; another heading would be a quotation"

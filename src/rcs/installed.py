@@ -1,6 +1,6 @@
 """Importing this registers the Gymnasium ids of all installed packages; `import rcs` registers those of its own only.
 
-Example:
+Examples:
     >>> import gymnasium
     >>> env = gymnasium.make("rcs.installed:rcs/PickCuboid-FR3-v0")
 """

@@ -126,7 +126,7 @@ class Flat:
 class FlatEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     """An environment whose actions and observations are vectors.
 
-    Example:
+    Examples:
         >>> env = FlatEnv(rcs.make("PickCuboid", observe=("privileged",)))
         >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     """

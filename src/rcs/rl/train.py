@@ -103,7 +103,7 @@ def train(
         InvalidSetup: The setup makes no sense, or the folder has a run of another training.
         DatasetError: The folder has other things in it, another process trains there, or the disk fails.
 
-    Example:
+    Examples:
         >>> for progress in train(recipe_for("PickCuboid"), "runs/pick"):
         ...     print(progress.steps, progress.score)
     """

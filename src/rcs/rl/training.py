@@ -126,7 +126,7 @@ class Course(Record):
 class Training(Course):
     """A training. The same record gives the same weights, bit for bit, on the same machine.
 
-    Example:
+    Examples:
         >>> from dataclasses import replace
         >>> from rcs.rl import recipe_for
         >>> training = recipe_for("PickCuboid", "ppo")

@@ -118,7 +118,7 @@ def make(
         UnknownName: A task, robot, end effector, camera, layer or driver that does not exist.
         InvalidSetup: An option that does not make sense.
 
-    Example:
+    Examples:
         >>> import rcs
         >>> env = rcs.make("PickCuboid", robot="fr3", control="joints", relative=True, frequency=30)
         >>> observation, info = env.reset(seed=0)
@@ -159,7 +159,7 @@ def make_vec(
         UnknownName: A task, robot, end effector or camera that does not exist.
         InvalidSetup: An option that does not make sense.
 
-    Example:
+    Examples:
         >>> import rcs
         >>> envs = rcs.make_vec("PickCuboid", copies=24, robot="fr3")
         >>> observations, infos = envs.reset(seed=0)

@@ -64,7 +64,7 @@ class FieldRange(Record, kw_only=False):
     of them in the same episode. The library keeps bounding volumes and derived constants up to date, and quaternions
     and axes at unit length; masses and inertias do not follow sizes.
 
-    Example:
+    Examples:
         >>> FieldRange("geom_friction", 0.3, 1.2, names="cuboid*", operation="set", axes=(0,)).key
         'geom_friction[cuboid*, 0]'
     """

@@ -44,7 +44,7 @@ def point_cloud(
     Raises:
         InvalidSetup: A shape does not fit; or the distortion does not fit the picture.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> depth = np.full((2, 2), 1000, np.uint16)
         >>> matrix = [[100.0, 0.0, 0.5], [0.0, 100.0, 0.5], [0.0, 0.0, 1.0]]

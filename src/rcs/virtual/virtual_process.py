@@ -22,7 +22,7 @@ END = 10.0
 class VirtualProcess:
     """Starts `rcs virtual`, waits until it is ready, and ends it.
 
-    Example:
+    Examples:
         >>> from rcs.virtual import VirtualProcess
         >>> with VirtualProcess("so101") as virtual:
         ...     with rcs.make("PickCuboid", robot="so101", hardware=virtual.site) as env:

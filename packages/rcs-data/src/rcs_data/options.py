@@ -2,7 +2,7 @@
 
 Types and bounds are those of msgspec; messages say the value, what is valid, and the nearest name.
 
-Example:
+Examples:
     >>> class Learner(Record):
     ...     steps: Whole = 64
     ...     schedule: Literal["constant", "linear"] = "linear"

@@ -14,7 +14,7 @@ from vlagents.observation import Observation
 class Policy(ABC):
     """Answers observations with chunks of actions. Clients and wrappers are policies too, so they nest.
 
-    Example:
+    Examples:
         >>> from vlagents import Observation
         >>> from vlagents.policies.random import RandomPolicy
         >>> policy = RandomPolicy(size=7)

@@ -20,7 +20,7 @@ _log = logging.getLogger(__name__)
 class Server(WireServer):
     """Answers calls over TCP at one address, and over a Unix socket with shared memory beside it.
 
-    Example:
+    Examples:
         >>> from vlagents import Client, Observation, Server
         >>> from vlagents.policies.random import RandomPolicy
         >>> with Server(RandomPolicy(size=7), port=0) as server, Client(str(server.address)) as client:

@@ -36,7 +36,7 @@ class InBackground(Observer):
     An error of the observer ends its work and nothing else: it is logged at once, `info["observers"]` has its words in
     every later step, and `close` raises it.
 
-    Example:
+    Examples:
         >>> import rcs
         >>> from rcs.envs import InBackground, Observer
         >>> class Printer(Observer):

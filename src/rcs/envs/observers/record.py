@@ -34,7 +34,7 @@ def record(
     Yields:
         The recorder. A take that is open at the end is kept without a verdict.
 
-    Example:
+    Examples:
         >>> import rcs
         >>> env = rcs.make("PickCuboid")
         >>> with rcs.record(env, "takes") as recorder:
@@ -73,7 +73,7 @@ def record_all(
         jpeg_quality: JPEG quality of colour frames, 1 to 100.
         notes: As in `record`; a batch has none.
 
-    Example:
+    Examples:
         >>> import rcs
         >>> envs = rcs.make_vec("PickCuboid", copies=24)
         >>> with record_all(envs, "episodes"):

@@ -221,7 +221,7 @@ def attach_twin(
     Raises:
         InvalidSetup: The environment is not in real time, an option is not valid, or there are no devices to hold.
 
-    Example:
+    Examples:
         >>> import rcs
         >>> with rcs.make("Free", hardware="sim") as env, rcs.attach_twin(env, on_alarm="hold") as twin:
         ...     observation, info = env.reset()

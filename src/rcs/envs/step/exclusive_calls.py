@@ -10,7 +10,7 @@ from rcs.errors import WrongOrder
 class ExclusiveCalls:
     """Calls of an environment: `enter` begins one, and leaving the context ends it.
 
-    Example:
+    Examples:
         >>> calls = ExclusiveCalls()
         >>> with calls.enter("step"):
         ...     pass

@@ -20,7 +20,7 @@ from rcs_data.read.windows import Windows
 class Dataset:
     """A dataset on disk, for reading, even while it is recorded.
 
-    Example:
+    Examples:
         >>> dataset = Dataset("datasets/pick")  # doctest: +SKIP
         >>> dataset[3]["observation/joints"]  # doctest: +SKIP
         >>> loader = torch.utils.data.DataLoader(dataset.windows(history=2, actions=16))  # doctest: +SKIP

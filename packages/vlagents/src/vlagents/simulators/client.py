@@ -18,7 +18,7 @@ from vlagents.wire.calls import observation_from_values
 class SimulatorClient:
     """Opens a served simulator with a mapping, and runs episodes in it.
 
-    Example:
+    Examples:
         >>> with SimulatorClient("vla://127.0.0.1:8090") as simulator:  # doctest: +SKIP
         ...     moment = simulator.begin(seed=0)
         ...     while not moment.is_over:
