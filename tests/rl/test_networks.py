@@ -6,7 +6,7 @@ import pytest
 import rcs
 from rcs.rl import Flat, Ppo, Sb3VecEnv, Training
 from rcs.rl.learner import make_model
-from rcs.rl.networks import make_policy
+from rcs.rl.networks import make_policy, network_options
 
 pytestmark = pytest.mark.extras
 
@@ -21,6 +21,13 @@ def test_a_network_is_told_every_number_coarsely_and_finely() -> None:
     told = policy.features_extractor(numbers).numpy()[0]
     np.testing.assert_allclose(told[:3], 2 * np.tanh([0.0005, -0.1, 2.5]), rtol=1e-6)
     np.testing.assert_allclose(told[3:], np.tanh([0.004, -0.8, 20.0]), rtol=1e-6)
+
+
+def test_a_network_sees_pictures_without_that() -> None:
+    algorithm = Ppo(near_and_far=True)
+    assert "features_extractor_class" in network_options(algorithm, has_images=False)
+    assert "features_extractor_class" not in network_options(algorithm, has_images=True)
+    assert "features_extractor_class" not in network_options(Ppo(near_and_far=False), has_images=False)
 
 
 def test_the_first_values_are_near_zero() -> None:

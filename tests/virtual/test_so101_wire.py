@@ -14,7 +14,7 @@ import pytest
 
 from rcs.errors import InvalidSetup
 from rcs.virtual import VirtualWorld, read_events, usual_setup
-from rcs.virtual.so101_wire import So101Wire
+from rcs.virtual.so101_wire import So101Wire, _magnitude, _signed
 
 TORQUE_ON, GOAL, TORQUE_LIMIT, POSITION, LOAD = 40, 42, 48, 56, 60
 
@@ -206,3 +206,13 @@ def test_negative_numbers_are_an_amount_and_a_sign():
         raw = bus.read(1, 31)
         assert raw >> 11 == 1
         assert raw & 2047 == -offsets[0]
+
+
+@pytest.mark.parametrize("value", [0, 1, -1, 2046, -2047])
+def test_a_register_keeps_an_amount_and_a_sign(value):
+    assert _signed(_magnitude(value, 11), 11) == value
+
+
+def test_an_amount_that_a_register_cannot_hold_is_its_greatest():
+    assert _magnitude(2048, 11) == 0b0_111_1111_1111
+    assert _magnitude(-750_000, 11) == 0b1_111_1111_1111
