@@ -15,7 +15,7 @@ import pytest
 from rcs import Compliance
 from rcs.devices import Device
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.hardware import franka_pylibfranka, hosted, robotiq, ur
+from rcs.hardware import franka, franka_pylibfranka, hosted, robotiq, ur, xarm
 from rcs.hardware.driver import Driver
 from rcs.hardware.franka import FrankaArm, FrankaDriver, FrankaOptions
 from rcs.hardware.franka_faults import make_idle
@@ -31,6 +31,14 @@ from rcs.hardware.ur import UrArm, UrDriver
 from rcs.hardware.xarm import AT_REST, XarmArm, XarmDriver
 from rcs.robots import FR3, FRANKA_HAND, ROBOTIQ_2F85, SO101, TILBURG_HAND, UR5E, XARM7
 from rcs.robots.description import ArmDescription
+
+NOTICING = 0.1
+"""Time that `faults` of `benchmarks/hardware.py` leaves for noticing what is past a limit [s]."""
+
+
+@pytest.mark.parametrize("driver", [franka, ur, xarm])
+def test_an_arm_that_freezes_is_at_fault_within_three_tenths_of_a_second(driver: Any) -> None:
+    assert driver.SILENCE + NOTICING <= 0.3 + 1e-9
 
 
 @pytest.mark.parametrize(
