@@ -237,7 +237,7 @@ void what_came_right_before_guiding_ends_with_it() {
   options.rate = 10.0;
   options.period = 0.1;
   for (const auto& before : {+[](Servo& arm) { arm.hold(); }, +[](Servo& arm) { arm.recover(); },
-                             +[](Servo& arm) { arm.command_joints(arm.joints); }}) {
+                             +[](Servo& arm) { arm.command_joints(Values(arm.joints)); }}) {
     Servo arm(options);
     arm.open();
     std::this_thread::sleep_for(30ms);  // between two ticks
@@ -256,7 +256,7 @@ void arms_of_one_rate_tick_at_the_same_moments() {
     std::this_thread::sleep_for(delay);
     Servo arm(options);
     arm.open();
-    arm.command_joints(arm.joints);
+    arm.command_joints(Values(arm.joints));
     Values phases;
     for (double before = arm.state().time; phases.size() < 31;) {
       await([&] { return arm.state().time != before; });
