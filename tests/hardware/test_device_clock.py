@@ -49,6 +49,15 @@ def test_a_session_that_begins_late_is_right_as_soon_as_packets_come_in_time() -
     assert np.abs(off[30 * 8 :]).max() < 2e-3
 
 
+@pytest.mark.parametrize("begin", [0.0, 1e6])
+def test_a_clock_may_have_begun_long_before_or_after_the_hosts(begin: float) -> None:
+    clock = DeviceClock()
+    clock.host_time(begin + 1.0, 500.0)
+    assert clock.host_time(begin + 1.5, 500.5) == pytest.approx(500.5, abs=1e-3)
+    with pytest.raises(DeviceFault, match="back"):
+        clock.host_time(begin + 1.4, 500.6)
+
+
 def test_a_clock_that_jumps_is_a_fault_and_never_a_false_time() -> None:
     for jump, words in ((-5.0, "back"), (5.0, "jumped ahead")):
         clock = DeviceClock()

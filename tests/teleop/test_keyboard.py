@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from rcs.errors import InvalidSetup
-from rcs.teleop.keyboard import Keyboard
+from rcs.teleop.keyboard import MOTIONS, Keyboard
 from rcs.teleop.terminal_keys import ASK, ASK_FOR_PROTOCOL, BEGIN_PROTOCOL, END_PROTOCOL, KeyEvent, TerminalKeys
 
 READ = Path(__file__).parent / "read_device.py"
@@ -231,6 +231,12 @@ def test_the_terminal_gets_its_mode_back_also_after_an_interrupt(play) -> None:
     assert player.mode()[3] & termios.ECHO
 
 
+def test_each_axis_has_two_keys_of_a_hand_and_the_arrows_are_the_first_four() -> None:
+    letters = [MOTIONS[key] for key in "wsadrfouikjl"]
+    assert letters == [(axis, sign) for axis in range(6) for sign in (1, -1)]
+    assert [MOTIONS[key] for key in ("up", "down", "left", "right")] == letters[:4]
+
+
 def test_speed_keys_keep_within_bounds(play) -> None:
     player = play(True)
     for key, bound in ((61, 0.25), (45, 0.01)):
@@ -257,7 +263,7 @@ def test_without_a_terminal_the_fault_names_the_other_way(run_program) -> None:
         """
         import os
         os.setsid()
-        from rcs.teleop.keyboard import Keyboard
+        from rcs.teleop.keyboard import MOTIONS, Keyboard
         Keyboard().open()
         """
     )

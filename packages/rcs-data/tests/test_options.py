@@ -117,6 +117,15 @@ def test_a_wrong_value_is_refused_in_words(given: dict[str, Any], words: str) ->
     assert words in str(refusal.value)
 
 
+@pytest.mark.parametrize(("length", "is_cut"), [(300, False), (301, True)])
+def test_of_a_long_value_its_beginning_is_named(length: int, is_cut: bool) -> None:
+    value = "a" * (length - 2)  # and quotation marks
+    with pytest.raises(InvalidSetup) as refusal:
+        Options(rate=value)
+    named = str(refusal.value).partition("; valid")[0].removeprefix("rate is ")
+    assert named == (f"{value!r}"[:300] + "…" if is_cut else f"{value!r}")
+
+
 def test_an_unknown_option_names_the_nearest_one_or_the_right_word() -> None:
     with pytest.raises(InvalidSetup, match="Did you mean 'count'"):
         Options.from_json({"cuont": 1})

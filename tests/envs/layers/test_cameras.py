@@ -87,6 +87,12 @@ def test_points_of_a_real_camera_on_one_of_several_robots_are_refused() -> None:
         rcs.make("Free", robot="dual_fr3", hardware=hardware, cameras=cameras)
 
 
+def test_points_of_a_real_camera_that_stands_still_are_not() -> None:
+    cameras = rcs.Cameras(names=("front",), image_size=(64, 48), depth=True, points=True)
+    hardware = {"left": "fake:a", "right": "fake:b", "front": "fake:c"}
+    rcs.make("Free", robot="dual_fr3", hardware=hardware, cameras=cameras).close()
+
+
 def test_points_without_depth_are_refused() -> None:
     with pytest.raises(InvalidSetup, match="give depth=True"):
         rcs.Setup(cameras=rcs.Cameras(points=True))

@@ -154,7 +154,7 @@ class Record:
             raise InvalidSetup(f"{name}: {err}") from err
         except msgspec.ValidationError as err:
             hint = self.hints.get(f"{name}={value}", "") or _nearest(value, kind)
-            given = repr(value) if len(repr(value)) < 300 else f"{repr(value)[:300]}…"
+            given = repr(value) if len(repr(value)) <= 300 else f"{repr(value)[:300]}…"
             raise InvalidSetup(f"{name} is {given}; valid: {valid_values(kind)}.{hint and ' '}{hint}") from err
 
     def to_json(self) -> dict[str, Any]:

@@ -155,3 +155,14 @@ def test_no_number_is_black_and_no_number_else_is() -> None:
     assert coloured(np.array([[0.0]]), (0, 1)).any()
     assert not coloured(np.array([[0]], np.uint16), (0, 1)).any()
     assert coloured(np.array([[1]], np.uint16), (1, 5)).any()
+
+
+def test_neighbouring_labels_have_colours_far_apart_and_none_is_grey(tmp_path: Path) -> None:
+    feature = Feature(key="observation/frames/a/geoms", shape=(64, 192), dtype="uint16", encoding="labels")
+    labels = np.repeat(np.arange(8, dtype=np.uint16), 24)[None].repeat(64, axis=0)
+    write_clip(record(tmp_path / "data", feature, [labels] * 3), feature, tmp_path / "a.mp4", ClipOptions())
+    frames, _ = decoded(tmp_path / "a.mp4")
+    colours = np.array([frames[1][8:56, 24 * i + 6 : 24 * i + 18].mean((0, 1)) for i in range(8)])
+    assert colours[0].max() < 20
+    assert (np.ptp(colours[1:], axis=1) > 0.6 * colours[1:].max(axis=1)).all()
+    assert np.linalg.norm(np.diff(colours, axis=0), axis=1).min() > 80
