@@ -91,6 +91,21 @@ def test_a_gap_of_a_device_is_one_that_the_loop_has_seen(
     assert devices["frames/wrist"]["rate"] == pytest.approx(min(rate, 50.0), rel=0.15)
 
 
+def test_the_clock_of_a_device_is_known_by_its_offset_and_drift(
+    tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows
+) -> None:
+    rows = make_rows(60)
+    for i, row in enumerate(rows):
+        row["time/device/frames/wrist"] = 7.0 + i / 30 * (1 - 1e-4)
+        row["time/frames/wrist"] = 100.0 + i / 30
+    info = make_info()
+    key = "time/device/frames/wrist"
+    info = replace(info, features=(*info.features, Feature(key=key, shape=(), dtype="float64", unit="s")))
+    clock = timing_of(tmp_path, info, rows)["devices"]["frames/wrist"]["clock"]
+    assert clock["offset"] == pytest.approx(93.0, abs=1e-6)
+    assert clock["drift"] == pytest.approx(1e-4, rel=1e-3)
+
+
 def test_times_that_were_not_measured_are_left_out(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> None:
     rows = make_rows(5)
     for row in rows:
