@@ -12,8 +12,6 @@ from rcs.spatial import Pose
 from rcs.virtual.ur_motion import (
     Chain,
     Motion,
-    Move,
-    ProgramError,
     Reference,
     Servo,
     SpeedJoints,
@@ -61,37 +59,6 @@ def test_a_servo_comes_behind_a_moving_target_by_its_lookahead() -> None:
         servo.target = HOME + 0.5 * DT * (tick + 1)
         servo.step(reference, DT)
     assert servo.target - reference.joints == pytest.approx(0.5 * 0.05, rel=0.05)
-
-
-@pytest.mark.parametrize("distance", [0.001, 0.1, 2.0])
-def test_a_move_in_joints_keeps_speed_and_acceleration_and_ends_at_its_goal(chain: Chain, distance: float) -> None:
-    goal = HOME + distance * np.array([1.0, -0.5, 0.2, 0.0, 0.3, -1.0])
-    rows = run(Move(HOME, goal, 1.0, 2.0, chain), 10.0)
-    velocities = np.diff(rows, axis=0) / DT
-    assert (rows[-1] == goal).all()
-    assert np.abs(velocities).max() <= 1.0 + 1e-9
-    assert np.abs(np.diff(velocities, axis=0) / DT).max() <= 2.0 * 1.01
-    shares = (rows - HOME) @ (goal - HOME) / ((goal - HOME) @ (goal - HOME))
-    assert np.allclose(rows, HOME + shares[:, None] * (goal - HOME))
-
-
-def test_a_linear_move_takes_the_tcp_along_a_line(chain: Chain) -> None:
-    start = chain.forward(HOME)
-    goal = Pose(start.translation + [0.1, -0.05, 0.08], start.quaternion)
-    rows = run(Move(HOME, goal, 0.25, 1.0, chain), 10.0)
-    places = np.array([chain.forward(row).translation for row in rows])
-    way = goal.translation - start.translation
-    off = places - start.translation - np.outer((places - start.translation) @ way / (way @ way), way)
-    assert np.linalg.norm(off, axis=1).max() < 1e-5
-    assert chain.forward(rows[-1]).is_close(goal, 1e-5, 1e-5)
-    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() / DT <= 0.25 * 1.001
-
-
-def test_a_linear_move_out_of_reach_ends_the_program(chain: Chain) -> None:
-    start = chain.forward(HOME)
-    far = Pose(start.translation + [0.0, 2.0, 0.0], start.quaternion)
-    with pytest.raises(ProgramError, match="get_inverse_kin"):
-        run(Move(HOME, far, 1.0, 1.0, chain), 10.0)
 
 
 def test_a_speed_of_the_tcp_moves_the_tcp(chain: Chain) -> None:

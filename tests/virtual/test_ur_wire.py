@@ -183,16 +183,13 @@ def test_other_versions_are_refused_as_told(robot: Robot) -> None:
     assert client.ask("V", struct.pack(">H", 1)) == b"\x01"
 
 
-def test_joints_are_followed_and_moves_end_where_they_should(robot: Robot) -> None:
+def test_joints_are_followed(robot: Robot) -> None:
     client = Commander(robot, "actual_q")
-    goal = robot.body.joints + 0.2
-    client.execute(1, *goal, 1.0, 4.0)
-    robot.pass_time(0.2)
-    assert robot.body.joints == pytest.approx(goal, abs=5e-3)
+    start = robot.body.joints
     for step in range(200):
-        client.command(11, *(goal - 0.1 * min(step / 100, 1.0)), 0, 0, 0.002, 0.05, 1600.0)
+        client.command(11, *(start - 0.1 * min(step / 100, 1.0)), 0, 0, 0.002, 0.05, 1600.0)
     robot.pass_time(0.3)
-    assert client.outputs()["actual_q"] == pytest.approx(goal - 0.1, abs=5e-3)
+    assert client.outputs()["actual_q"] == pytest.approx(start - 0.1, abs=5e-3)
     assert client.outputs()["runtime_state"] == 2
 
 
@@ -204,7 +201,7 @@ def test_two_kinds_of_motion_at_once_end_the_program(robot: Robot) -> None:
     assert client.outputs()["output_int_register_0"] == READY  # of the program that has ended
 
 
-@pytest.mark.parametrize("command", [1, 3, 9, 10, 11, 24])
+@pytest.mark.parametrize("command", [9, 10, 11, 24])
 def test_arguments_that_are_no_numbers_end_the_program_and_move_nothing(robot: Robot, command: int) -> None:
     client = Commander(robot)
     client.command(command, *[np.nan] * 6, 0.1, 0.1, 0.0, 0.1, 100.0)

@@ -33,23 +33,15 @@ class Reference:
     velocities: Vector = field(default_factory=lambda: np.zeros(6))
     accelerations: Vector = field(default_factory=lambda: np.zeros(6))
 
-    def move(self, joints: Vector, dt: float) -> None:
-        """Move to positions within a tick."""
-        self._change((joints - self.joints) / dt, dt)
-        self.joints = joints
-
     def coast(self, velocities: Vector, dt: float) -> None:
         """Move at velocities for a tick."""
-        self._change(velocities, dt)
+        self.accelerations = (velocities - self.velocities) / dt
+        self.velocities = velocities
         self.joints = self.joints + velocities * dt
 
     def rest(self) -> None:
         """Stand still."""
         self.velocities = self.accelerations = np.zeros(6)
-
-    def _change(self, velocities: Vector, dt: float) -> None:
-        self.accelerations = (velocities - self.velocities) / dt
-        self.velocities = velocities
 
 
 class Motion(Protocol):
@@ -159,55 +151,6 @@ class Stop:
         """Move by one tick."""
         reference.coast(_towards(reference.velocities, np.zeros(6), self.deceleration * dt), dt)
         return not reference.velocities.any()
-
-
-class Move:
-    """movej and movel: time-optimal motion from rest to rest within a speed and an acceleration along the path."""
-
-    def __init__(self, start: Vector, goal: Vector | Pose, speed: float, acceleration: float, chain: Chain) -> None:
-        """Move to joints in joint space [rad/s, rad/s²], or to a pose on a straight line [m/s, m/s²]."""
-        if isinstance(goal, Pose):
-            first = chain.forward(start)
-            length = first.distance_to(goal) or first.angle_to(goal)
-        else:
-            first, length = start, float(np.abs(goal - start).max())
-        self._first, self._goal, self._chain = first, goal, chain
-        self._length = length
-        self._acceleration = acceleration
-        self._speed = min(speed, float(np.sqrt(length * acceleration)))
-        self._time = 0.0
-
-    def step(self, reference: Reference, dt: float) -> bool:
-        """Move by one tick."""
-        self._time += dt
-        share = self._share()
-        if isinstance(self._goal, Pose):
-            assert isinstance(self._first, Pose)
-            reference.move(self._chain.inverse(self._first.interpolate(self._goal, share), reference.joints), dt)
-        else:
-            assert not isinstance(self._first, Pose)
-            reference.move(self._first + share * (self._goal - self._first), dt)
-        if share < 1.0:
-            return False
-        reference.rest()
-        return True
-
-    def _share(self) -> float:
-        """Return the fraction of the path at the present time: accelerate, cruise, decelerate."""
-        if self._length < 1e-9:
-            return 1.0
-        ramp = self._speed / self._acceleration
-        total = self._length / self._speed + ramp
-        left = total - self._time
-        if left <= 0:
-            return 1.0
-        if self._time < ramp:
-            way = self._acceleration * self._time**2 / 2
-        elif left < ramp:
-            way = self._length - self._acceleration * left**2 / 2
-        else:
-            way = self._speed * (self._time - ramp / 2)
-        return way / self._length
 
 
 def _towards(present: Vector, target: Vector, most: float) -> Vector:

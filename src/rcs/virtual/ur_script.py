@@ -12,10 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.spatial import Pose
 from rcs.virtual.rtde_port import RtdePort
 from rcs.virtual.ur_controller import STOP_DECELERATION, Program, UrController
-from rcs.virtual.ur_motion import Move, ProgramError, Servo, SpeedJoints, SpeedTcp, Stop, pose_of, vector_of
+from rcs.virtual.ur_motion import ProgramError, Servo, SpeedJoints, SpeedTcp, Stop, pose_of
 
 Vector = NDArray[np.float64]
 
@@ -109,18 +108,7 @@ class ControlScript:
             ProgramError: The command does not exist or cannot be executed.
         """
         values = self._arguments(14)
-        now = self._controller.reference.joints
         match command:
-            case 1 | 2 | 3 | 4:
-                goal: Vector | Pose = values[:6]
-                if command in (2, 3):
-                    goal = pose_of(values)
-                if command == 2:
-                    goal = self._controller.chain.inverse(pose_of(values), now)
-                elif command == 4:
-                    goal = self._controller.chain.forward(values[:6])
-                program.move = Move(now, goal, values[6], values[7], self._controller.chain)
-                return lambda: self._rtde.registers["input_int_register_1"] == 1 or program.move is None
             case 15 | 16 | 33 | 34:
                 # Linear stops brake along the joints, too, and deviate little from a straight line.
                 program.move = Stop(STOP_DECELERATION if command == 16 else min(values[0], STOP_DECELERATION))
@@ -137,19 +125,6 @@ class ControlScript:
                 self._controller.protect("asked for by the program")
             case 35:
                 program.watchdog, program.heard = 1 / values[0], self._controller.clock()
-            case 36 | 37:
-                joints = values[:6] if command == 37 else self._controller.chain.inverse(pose_of(values), now)
-                is_inside = (joints >= self._controller.lower).all() and (joints <= self._controller.upper).all()
-                self._controller.registers.integers[1] = int(is_inside)
-            case 40:
-                self._controller.registers.doubles[:6] = vector_of(self._controller.chain.tcp_in_flange)
-            case 43:
-                self._controller.registers.doubles[:6] = vector_of(self._controller.chain.forward(now))
-            case 30 | 46:
-                near = values[6:12] if command == 30 else now
-                self._controller.registers.doubles[:6] = self._controller.chain.inverse(pose_of(values), near)
-            case 47:
-                self._controller.registers.integers[1] = int(not self._controller.reference.velocities.any())
             case 255:
                 self._controller.end_program("stop script")
             case _:
