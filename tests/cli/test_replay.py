@@ -35,6 +35,7 @@ def test_actions_prints_deviations(call: Any, dataset: Path, tmp_path: Path) -> 
     assert "joints [mrad]" in told
     assert "0.00/0.00" in told
     assert all("…" not in line for line in told.splitlines()), "nothing is cut off"
+    assert f"Dataset: {tmp_path / 'new'}" in told.replace("\n", "")
     assert len(Dataset.open(tmp_path / "new")) == 2
 
 
@@ -45,6 +46,13 @@ def test_states_counts_what_succeeds_in_simulation(call: Any, dataset: Path, tmp
     assert code == 0
     assert "2 of 2 succeed in simulation" in told
     assert len(Dataset.open(tmp_path / "new")) == 2
+
+
+def test_a_check_names_no_dataset_that_it_would_have_made(call: Any, dataset: Path) -> None:
+    code, told = call("data", "replay", str(dataset))
+    assert code == 0
+    assert "2 of 2 episodes bit-equal" in told
+    assert "Dataset:" not in told
 
 
 @pytest.mark.parametrize("kind", ["check", "actions", "states"])

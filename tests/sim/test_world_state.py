@@ -293,6 +293,17 @@ def test_a_field_of_a_world_of_one_is_the_models_own(cart: mujoco.MjModel) -> No
     assert world.field("body_mass")[1] == 3.0
 
 
+@pytest.mark.parametrize("copies", [None, 2])
+def test_nominal_values_are_those_before_the_first_change(cart: mujoco.MjModel, copies: int | None) -> None:
+    before = cart.body_mass.copy()
+    world = World(copy_of(cart), copies=copies)
+    np.testing.assert_array_equal(world.nominal("body_mass"), before)
+    world.vary("body_mass")[..., 1] = 3.0
+    world.vary("body_mass")[..., 1] = 4.0
+    np.testing.assert_array_equal(world.nominal("body_mass"), before)
+    assert world.varied == ["body_mass"]
+
+
 def test_constants_follow_the_masses_of_each_copy_and_leave_the_state_alone(cart: mujoco.MjModel) -> None:
     world = World(cart, copies=3, threads=2)
     world.qpos[:] = 0.3

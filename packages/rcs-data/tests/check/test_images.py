@@ -84,6 +84,16 @@ def test_black_images_are_found_row_by_row(tmp_path: Path, moving: MakeMoving) -
     assert not check(path, depth="rows").findings, "without decoding nobody knows"
 
 
+@pytest.mark.parametrize(("length", "is_found"), [(1, False), (2, True)])
+def test_an_episode_of_one_step_is_long_enough(tmp_path: Path, moving: MakeMoving, length: int, is_found: bool) -> None:
+    def cover(rows: Rows) -> None:
+        for row in rows:
+            row[RGB] = np.zeros_like(row[RGB])
+
+    kinds = [finding.kind for finding in found(moving(tmp_path, cover, length=length))]
+    assert ("black" in kinds) == is_found
+
+
 def test_the_touch_of_nothing_is_not_frozen(tmp_path: Path, moving: MakeMoving) -> None:
     def touch_nothing(rows: Rows) -> None:
         for row in rows:
