@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rcs.errors import InvalidSetup
-from rcs.policy.plan import NEAR, Blend, ChunkPlan, Ensemble, Part
+from rcs.policy.plan import NEAR, ChunkPlan, Part, averaged, blended
 from rcs.spatial import compose, distance, inverse, normalize, xyzrpy_to_tquat
 
 JOINTS = Part("joints", slice(0, 3), "linear")
@@ -129,10 +129,10 @@ def wave(begin: float, shift: float, count: int = 30, period: float = 0.05) -> C
 def test_a_blend_never_jumps(shift: float, loop: float) -> None:
     old, new = wave(0.0, 0.0), wave(0.5, shift)
     since, until, period = 0.8, old.end, 1 / loop
-    blend = Blend(old, new, since, until)
+    new.since, new.until = since, until
     moments = since + period * np.arange(int((until - since) * loop))
-    values = {name: np.array([plan.at(t, period)["joints"] for t in moments])  # type: ignore[index]
-              for name, plan in (("old", old), ("new", new), ("blend", blend))}  # fmt: skip
+    values = {name: np.array([blended(plans, t, period)["joints"] for t in moments])  # type: ignore[index]
+              for name, plans in (("old", [old]), ("new", [new]), ("blend", [old, new]))}  # fmt: skip
     assert np.array_equal(values["blend"][0], values["old"][0])
     apart = np.abs(values["old"] - values["new"]).max()
     own = max(np.abs(np.diff(values[name], axis=0)).max() for name in ("old", "new"))
@@ -143,10 +143,10 @@ def test_a_blend_never_jumps(shift: float, loop: float) -> None:
 
 def test_a_blend_ends_as_the_new_chunk_alone() -> None:
     old, new = wave(0.0, 0.0), wave(0.5, 1.0)
-    blend = Blend(old, new, 0.8, old.end)
-    assert blend.simplified(old.end) is new
-    assert np.array_equal(blend.at(old.end, 0.05)["joints"], new.at(old.end, 0.05)["joints"])  # type: ignore[index]
-    assert [blend.weight(t) for t in (0.8, old.end)] == [1.0, 0.0]
+    new.since, new.until = 0.8, old.end
+    command = blended([old, new], old.end, 0.05)
+    assert np.array_equal(command["joints"], new.at(old.end, 0.05)["joints"])  # type: ignore[index]
+    assert [new.weight_before(t) for t in (0.8, old.end)] == [1.0, 0.0]
 
 
 def test_an_ensemble_is_the_closed_form_of_act() -> None:
@@ -154,15 +154,14 @@ def test_an_ensemble_is_the_closed_form_of_act() -> None:
     time, period, decay = 0.75, 1 / 30, 0.1
     weights = np.exp(-decay * np.arange(4))
     rows = np.array([plan.at(time, period)["joints"] for plan in plans])  # type: ignore[index]
-    command = Ensemble(plans, decay).at(time, period)
+    command = averaged(plans, time, period, decay=decay)
     assert command is not None
     np.testing.assert_allclose(command["joints"], weights @ rows / weights.sum())
 
 
 def test_an_ensemble_counts_only_chunks_that_speak_of_the_moment() -> None:
     plans = [wave(0.0, 0.0, count=4), wave(0.1, 1.0)]
-    ensemble = Ensemble(plans, 0.1)
-    late = ensemble.at(0.5, 0.05)
+    late = averaged(plans, 0.5, 0.05, decay=0.1)
     assert late is not None
     assert np.array_equal(late["joints"], plans[1].at(0.5, 0.05)["joints"])  # type: ignore[index]
 

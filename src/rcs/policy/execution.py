@@ -12,7 +12,7 @@ from typing import Literal
 from rcs_data.options import NotNegative, Record, Whole
 
 from rcs.background_thread import BackgroundThread
-from rcs.policy.plan import Blend, ChunkPlan, Command, Ensemble, Plan
+from rcs.policy.plan import ChunkPlan, Command, averaged, blended
 
 Mode = Literal["open_loop", "receding", "ensemble", "rtc"]
 """`open_loop`: execute some rows, hold, call the policy. `receding`: call it while the rest of the chunk is executed,
@@ -109,8 +109,7 @@ class Executor:
     def reset(self) -> None:
         """Begin an episode; the result of a call that is under way is dropped."""
         self._call: PolicyCall | None = None
-        self._plan: Plan | None = None
-        self._newest: ChunkPlan | None = None
+        self._plans: list[ChunkPlan] = []  # from the oldest to the newest
         self._due = 0.0
         self.latency = float("nan")
         """Delay of the newest answer, in the time of the loop [s]."""
@@ -123,7 +122,7 @@ class Executor:
         """Have the robot hold because of an error, at a time [s]."""
         _log.error("The robot holds, because its policy failed: %s: %s", type(error).__name__, error)
         self.error = error
-        self._call = self._plan = self._newest = None
+        self._call, self._plans = None, []
         self._retry_at = now + self._execution.retry
 
     def step(self, now: float, question: Question) -> Command | None:
@@ -137,22 +136,22 @@ class Executor:
         if self._call is None and self._is_due(now):
             self._start(now, question)
             self._take(now)  # in simulated time the result may be there at once
-        if self._plan is None:
+        if not self._plans or now - self._plans[-1].begin > self._valid_for + NEAR:
             return None
-        self._plan = self._plan.simplified(now)
         if self._execution.mode == "open_loop" and now >= self._due - NEAR:
             return None
-        if now - self._plan.begin > self._valid_for + NEAR:
-            return None
-        return self._plan.at(now, self._period)
+        if self._execution.mode == "ensemble":
+            decay = self._execution.decay
+            return averaged(self._plans, now, self._period, decay=decay, valid_for=self._valid_for)
+        return blended(self._plans, now, self._period)
 
     def age(self, now: float) -> float:
         """Return how old the observation is that the newest chunk answers [s]."""
-        return float("nan") if self._newest is None else now - self._newest.begin
+        return now - self._plans[-1].begin if self._plans else float("nan")
 
     def row(self, now: float) -> float:
         """Return which row of the newest chunk a step belongs to that begins at a time."""
-        return float("nan") if self._newest is None else float(self._newest.row(now + self._period / 2))
+        return float(self._plans[-1].row(now + self._period / 2)) if self._plans else float("nan")
 
     def close(self) -> None:
         """End the thread; one that waits for a silent policy is left behind after a second."""
@@ -162,7 +161,7 @@ class Executor:
     def _is_due(self, now: float) -> bool:
         if self.error is not None:
             return self._execution.on_loss == "reconnect" and now >= self._retry_at - NEAR
-        return self._newest is None or self._execution.mode == "ensemble" or now >= self._due - NEAR
+        return not self._plans or self._execution.mode == "ensemble" or now >= self._due - NEAR
 
     def _start(self, now: float, question: Question) -> None:
         """Call the policy, or have the thread call it."""
@@ -193,17 +192,17 @@ class Executor:
     def _change_over(self, new: ChunkPlan, now: float) -> None:
         """Execute a new chunk from now on."""
         mode, self.chunks = self._execution.mode, self.chunks + 1
-        old, self._newest = self._plan, new
         horizon = round((new.end - new.begin) / new.period)
         rows = self._execution.rows or (horizon if mode == "open_loop" else max(1, horizon // 2))
         # An open loop counts the rows that it executes; the other modes call the policy at a rate.
         self._due = min((now if mode == "open_loop" else new.begin) + rows * new.period, new.end)
-        until = now if old is None else min(old.end, old.begin + self._valid_for)
-        if mode == "ensemble" and isinstance(old, Ensemble):
-            self._plan = old.joined(new, now)
-        elif mode == "ensemble":
-            self._plan = Ensemble([new], self._execution.decay, self._valid_for)
-        elif mode == "rtc" and old is not None and until > now + NEAR:
-            self._plan = Blend(old, new, now, until)
-        else:
-            self._plan = new
+        former: list[ChunkPlan] = []
+        if mode == "ensemble":
+            former = [plan for plan in self._plans if plan.end > now and now - plan.begin <= self._valid_for]
+        elif mode == "rtc" and self._plans:
+            until = min(self._plans[-1].end, self._plans[-1].begin + self._valid_for)
+            if until > now + NEAR:
+                new.since, new.until = now, until
+                alone = max(i for i, plan in enumerate(self._plans) if i == 0 or plan.weight_before(now) == 0)
+                former = self._plans[alone:]
+        self._plans = [*former, new]

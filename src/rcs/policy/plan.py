@@ -1,14 +1,14 @@
-"""Plans: commands at any time from one chunk, from two of which one takes over, or from many.
+"""Commands at any time, from one chunk of a policy, from those of which one takes over from another, or from many.
 
-A step of the loop from `time` on, `period` long, asks a plan for the command of that step. A row of a chunk is where
-to be at the *end* of its time, so a step gets the value of the curve through the rows at the step's end; where loop and
-policy have the same rate that is the row itself. Between rows, targets are interpolated and motions are split.
+A step of the loop from `time` on, `period` long, asks for the command of that step. A row of a chunk is where to be at
+the *end* of its time, so a step gets the value of the curve through the rows at the step's end; where loop and policy
+have the same rate that is the row itself. Between rows, targets are interpolated and motions are split.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -107,34 +107,7 @@ class Part:
         return normalize(total) if self.is_pose else total
 
 
-class Plan(ABC):
-    """Commands at any time."""
-
-    parts: Sequence[Part]
-    begin: float
-    """Time of the observation that the newest chunk answers [s]."""
-    end: float
-    """End of the last command [s]."""
-
-    @abstractmethod
-    def at(self, time: float, period: float) -> Command | None:
-        """Return the command for a step; None if the plan has none.
-
-        Args:
-            time: When the step begins [s].
-            period: How long it lasts [s].
-        """
-
-    def covers(self, time: float, period: float) -> bool:
-        """Return whether the plan covers a whole step and does not end within it."""
-        return self.end > time + period - NEAR * period
-
-    def simplified(self, time: float) -> Plan:
-        """Return a plan with the same commands from a time on, without parts that are over."""
-        return self
-
-
-class ChunkPlan(Plan):
+class ChunkPlan:
     """The rows of one chunk."""
 
     def __init__(
@@ -163,8 +136,12 @@ class ChunkPlan(Plan):
             raise InvalidSetup("A chunk has values that are not finite, or a period that is not above 0 s.")
         self.parts = list(parts)
         self.begin, self.period = time, period
+        """Time of the observation that it answers, and duration of each row [s]."""
         self._count = len(actions)
         self.end = time + self._count * period
+        """End of the last row [s]."""
+        self.since = self.until = -math.inf
+        """From when and until when it takes over from the plan before [s]; see `blended`."""
         self._start = dict(start or {})
         self._rows = {part.name: part.read(actions, self._start.get(part.name)) for part in self.parts}
 
@@ -172,8 +149,24 @@ class ChunkPlan(Plan):
         """Return the number of the row that a time belongs to."""
         return math.floor((time - self.begin) / self.period + NEAR)
 
+    def covers(self, time: float, period: float) -> bool:
+        """Return whether it covers a whole step and does not end within it."""
+        return self.end > time + period - NEAR * period
+
+    def weight_before(self, time: float) -> float:
+        """Return the weight of the plan before it at a time: the soft mask of real-time chunking."""
+        if time >= self.until:
+            return 0.0
+        c = min((self.until - time) / (self.until - self.since), 1.0)
+        return c * math.expm1(c) / math.expm1(1.0)
+
     def at(self, time: float, period: float) -> Command | None:
-        """Return the command for a step; None before the chunk and past its end."""
+        """Return the command for a step; None before the chunk and past its end.
+
+        Args:
+            time: When the step begins [s].
+            period: How long it lasts [s].
+        """
         first = (time - self.begin) / self.period
         if not -NEAR <= first < self._count - NEAR:
             return None
@@ -206,90 +199,54 @@ class ChunkPlan(Plan):
         return part.joined([rows[index] if share == 1.0 else part.share(rows[index], share) for index, share in shares])
 
 
-class Blend(Plan):
-    """A chunk takes over from the plan in flight: at first all is as before, at the end all is new.
+def blended(plans: Sequence[ChunkPlan], time: float, period: float) -> Command | None:
+    """Return the command for a step while each plan takes over from the one before; None if there is none.
 
-    The weight of the old plan is the soft mask of real-time chunking (Black, Galliker, Levine 2025, arXiv:2506.07339),
-    w = c·(exp(c) - 1)/(e - 1) with c from 1 to 0. So what changes from a step to the next is at most the larger change
-    of the two plans and (2e - 1)/(e - 1) · period/(until - since) of how far they are apart: there is no jump.
+    At first all is as before, at the end all is new. The weight of the old plan is the soft mask of real-time chunking
+    (Black, Galliker, Levine 2025, arXiv:2506.07339), w = c·(exp(c) - 1)/(e - 1) with c from 1 to 0. So what changes
+    from a step to the next is at most the larger change of the two plans and (2e - 1)/(e - 1) · period/(until - since)
+    of how far they are apart: there is no jump.
+
+    Args:
+        plans: From the oldest to the newest, one or more.
+        time: When the step begins [s].
+        period: How long it lasts [s].
     """
-
-    def __init__(self, old: Plan, new: Plan, since: float, until: float) -> None:
-        """Blend two plans.
-
-        Args:
-            old: In flight.
-            new: Takes over.
-            since: When the new one became known [s].
-            until: When it is alone [s].
-        """
-        self.parts = new.parts
-        self.begin, self.end = new.begin, new.end
-        self._old, self._new = old, new
-        self._since, self._until = since, until
-
-    def weight(self, time: float) -> float:
-        """Return the weight of the old plan at a time."""
-        if time >= self._until:
-            return 0.0
-        c = min((self._until - time) / (self._until - self._since), 1.0)
-        return c * math.expm1(c) / math.expm1(1.0)
-
-    def at(self, time: float, period: float) -> Command | None:
-        """Return the blend of their commands for a step."""
-        weight = self.weight(time)
-        new = self._new.at(time, period)
-        old = self._old.at(time, period) if weight > 0 and self._old.covers(time, period) else None
+    command = plans[0].at(time, period)
+    for before, plan in itertools.pairwise(plans):
+        weight, new = plan.weight_before(time), plan.at(time, period)
+        old = command if weight > 0 and before.covers(time, period) else None
         if old is None or new is None:
-            return old if new is None else new
-        return {
-            part.name: part.mean([old[part.name], new[part.name]], [weight, 1 - weight])
-            if weight < 1
-            else old[part.name]
-            for part in self.parts
-        }
-
-    def simplified(self, time: float) -> Plan:
-        """Return the new plan once it is alone."""
-        if self.weight(time) == 0:
-            return self._new.simplified(time)
-        self._old = self._old.simplified(time)
-        return self
+            command = old if new is None else new
+        elif weight < 1:
+            command = _mean(plan.parts, [old, new], [weight, 1 - weight])
+        else:
+            command = old
+    return command
 
 
-class Ensemble(Plan):
-    """The mean of all chunks that cover a step, aligned by time.
+def averaged(
+    plans: Sequence[ChunkPlan], time: float, period: float, *, decay: float, valid_for: float = math.inf
+) -> Command | None:
+    """Return the mean of all chunks that cover a step, aligned by time; None if there is none.
 
     Weights are those of ACT (Zhao et al. 2023, arXiv:2304.13705): exp(-m·i) for the i-th oldest, divided by their sum.
+
+    Args:
+        plans: From the oldest to the newest, one or more.
+        time: When the step begins [s].
+        period: How long it lasts [s].
+        decay: ACT's m.
+        valid_for: Age of its observation beyond which a plan is left out [s].
     """
+    valid = [plan for plan in plans if time - plan.begin <= valid_for + NEAR * period]
+    whole = [plan for plan in valid if plan.covers(time, period)]
+    found = [command for plan in whole or valid if (command := plan.at(time, period)) is not None]
+    if not found:
+        return None
+    weights = np.exp(-decay * np.arange(len(found)))
+    return _mean(plans[-1].parts, found, (weights / weights.sum()).tolist())
 
-    def __init__(self, plans: Sequence[Plan], decay: float, valid_for: float = math.inf) -> None:
-        """Average plans.
 
-        Args:
-            plans: From the oldest to the newest, one or more.
-            decay: ACT's m.
-            valid_for: Age of its observation beyond which a plan is left out [s].
-        """
-        self.parts = plans[-1].parts
-        self.begin = plans[-1].begin
-        self.end = max(plan.end for plan in plans)
-        self._plans, self._decay, self._valid_for = list(plans), decay, valid_for
-
-    def at(self, time: float, period: float) -> Command | None:
-        """Return the mean of their commands for a step."""
-        valid = [plan for plan in self._plans if time - plan.begin <= self._valid_for + NEAR * period]
-        whole = [plan for plan in valid if plan.covers(time, period)]
-        found = [command for plan in whole or valid if (command := plan.at(time, period)) is not None]
-        if not found:
-            return None
-        weights = np.exp(-self._decay * np.arange(len(found)))
-        weights /= weights.sum()
-        return {
-            part.name: part.mean([command[part.name] for command in found], weights.tolist()) for part in self.parts
-        }
-
-    def joined(self, plan: Plan, time: float) -> Ensemble:
-        """Return the ensemble with one more plan, without those that are over."""
-        going_on = (each for each in self._plans if each.end > time and time - each.begin <= self._valid_for)
-        return Ensemble([*going_on, plan], self._decay, self._valid_for)
+def _mean(parts: Sequence[Part], commands: Sequence[Command], weights: Sequence[float]) -> Command:
+    return {part.name: part.mean([command[part.name] for command in commands], weights) for part in parts}
