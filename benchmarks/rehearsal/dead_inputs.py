@@ -23,7 +23,6 @@ from rcs.rollout.interactive.page_link import PATH, PageKeys, PageLink
 from rcs.teleop import Button, HandReading, InputDevice, Keyboard, Operator, Pedal, Reading
 from rcs.teleop.device_file import DeviceFile
 from rcs.teleop.input_events import InputEvents
-from rcs.teleop.pedal import WithButtons
 
 HAND_HZ = 72.0
 """Rate of the device, that of a Quest 3."""
@@ -38,6 +37,7 @@ class Person(InputDevice):
     hand: HandReading | Callable[[float], HandReading] = field(default_factory=HandReading)
     fate: str = ""
     valid_for = 0.1
+    beside: Sequence[InputDevice] = ()
     waits = 0.2
     """Time after which it moves [s], from when on the clutch is pressed."""
     joints: Any = None
@@ -96,7 +96,7 @@ class OtherEnd(Closing):
         self._end = {**ENDS, "page": Page, "pedal": Foot}[name](Path(self._folder.name))
         self._send, self._end.send = self._end.send, lambda want: self._send(self._want())
         self._led: Any = None
-        self.device = self._end.device
+        self.device, self.beside = self._end.device, self._end.beside
         self.valid_for, self.waits = self.device.valid_for, 0.2 if self.device.has_clutch else 1.6
         self.hand: Callable[[float], HandReading] = lambda now: held((0.0, 0.0, 1.0, 0, 0, 0, 1))
         self._fate = ""
@@ -171,7 +171,7 @@ class Foot(End):
                 keys._file = DeviceFile(self._path, "pedal", "")
                 own._opened.put(keys)
 
-        self.device = WithButtons(self._person, Plugged(self._path))
+        self.device, self.beside = self._person, [Plugged(self._path)]
 
     def start(self) -> None:
         """Plug it in."""
@@ -211,7 +211,7 @@ def drop(times: int, seed: int, name: str | None = None) -> list[dict[str, Any]]
             with ExitStack() as stack:
                 person = Person() if name is None else stack.enter_context(OtherEnd(name))
                 env = rcs.make("Free", robot=robot, hardware=hardware, stepping=stepping, max_episode_steps=None)
-                operator = Operator(stack.enter_context(env), person.device)
+                operator = Operator(stack.enter_context(env), person.device, beside=person.beside)
                 stack.callback(operator.close)
                 state: Any = env.reset(seed=0)
                 operator.reset(*state)

@@ -67,6 +67,8 @@ class End(Closing):
     """Whether there are buttons, so that the person can begin takes."""
     device: InputDevice
     """The input."""
+    beside: Sequence[InputDevice] = ()
+    """Devices beside it, of which only the buttons count."""
 
     def __init__(self) -> None:
         self.want = Want()

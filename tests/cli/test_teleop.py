@@ -103,7 +103,7 @@ def test_why_a_leader_does_not_engage_is_said_once(capsys: pytest.CaptureFixture
 def test_a_person_leads_an_arm_with_a_hand_which_opens_and_closes_as_a_whole() -> None:
     command = TeleopCommand(task="PickToy", environment=Flags(robot="xarm7"))
     with make(command._setup()) as env:
-        assert isinstance(command._agent(env, command._device()), Operator)
+        assert isinstance(command._agent(env, command._devices()), Operator)
     assert not TeleopCommand()._setup().binary_gripper
     assert TeleopCommand(environment=Flags(binary_gripper=True))._setup().binary_gripper
 

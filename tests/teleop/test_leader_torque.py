@@ -19,7 +19,7 @@ import rcs
 from rcs.agents import Agent
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.robots.fr3 import FR3
-from rcs.teleop import Leader, Operator, Takeover, WithButtons, gello
+from rcs.teleop import Leader, Operator, Takeover, gello
 from rcs.teleop.leader import AHEAD, FRESH, PACE
 from tests.teleop.leaders import COUNTS, STEP, Bus, bus_of, calibrated, leader_at, saved
 from tests.teleop.scripted_device import ScriptedDevice, held
@@ -208,7 +208,7 @@ def test_engaging_needs_no_leap_since_the_leader_has_come_to_the_robot(tmp_path:
         )
         path = saved(calibrated(bus.path, offsets=offsets, near=env.robots["fr3"].arm.home), tmp_path)
         device = gello(path, torque=True)
-        operator = Operator(env, WithButtons(device, foot, clutch=True))
+        operator = Operator(env, device, beside=[foot])
         observation, info = env.reset(seed=0)
         operator.reset(observation, info)
 
@@ -260,7 +260,7 @@ def test_a_leader_follows_a_policy_and_takes_the_robot_over_without_a_leap(
         }
         device = gello(saved(calibrated(bus.path, **at_home), tmp_path), torque=True)
         foot.valid_for = device.valid_for = 2.0  # on a busy machine
-        operator = Operator(env, WithButtons(device, foot, clutch=True), has_thread=False)
+        operator = Operator(env, device, beside=[foot], has_thread=False)
         agent = Takeover(env, Turned(), operator)
         observation, info = env.reset(seed=0)
         agent.reset(observation, info)
@@ -292,6 +292,6 @@ def test_the_command_wants_a_leader_and_a_clutch_beside_it() -> None:
 
     for given in (("keyboard", "pedal"), ("so101_leader:/dev/none",)):
         with pytest.raises(InvalidSetup, match="has to be the clutch"):
-            TeleopCommand(input=given, torque=True)._device()
-    device = TeleopCommand(input=("so101_leader:/dev/none", "keyboard"), torque=True)._device()
-    assert device.has_clutch
+            TeleopCommand(input=given, torque=True)._devices()
+    leader, _ = TeleopCommand(input=("so101_leader:/dev/none", "keyboard"), torque=True)._devices()
+    assert leader.has_clutch

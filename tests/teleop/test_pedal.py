@@ -10,14 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rcs_data.files.closing import Closing
 
 import rcs
 from rcs.errors import DeviceFault
-from rcs.teleop.device import HandReading, InputDevice, Reading
-from rcs.teleop.feed import Feed, News
+from rcs.teleop.device import OF_HANDS, HandReading, InputDevice, Reading
+from rcs.teleop.feed import Feed, News, with_buttons
 from rcs.teleop.input_events import InputEvents
 from rcs.teleop.operator import Operator
-from rcs.teleop.pedal import Pedal, WithButtons
+from rcs.teleop.pedal import Pedal
+from rcs.teleop.so101_leader import so101_leader
 from tests.teleop.scripted_device import LEVEL, ScriptedDevice, held
 
 A, B, C, W, SPACE = 30, 48, 46, 17, 57
@@ -119,7 +121,7 @@ def test_a_link_that_may_not_be_read_names_the_rule_of_its_device(
 class Still(InputDevice):
     """A device whose own clutch is held, and whose gripper is."""
 
-    valid_for = 0.07
+    valid_for = 20.0  # on a busy machine
     hands = ("left", "right")
     is_open = False
 
@@ -127,8 +129,9 @@ class Still(InputDevice):
         self.is_open = True
 
     def read(self) -> Reading:
+        time.sleep(0.002)
         hand = HandReading(twist=np.zeros(6), buttons=frozenset({"clutch", "gripper"}))
-        return Reading(time=1.0, hands={"left": hand, "right": hand})
+        return Reading(time=time.monotonic(), hands={"left": hand, "right": hand})
 
     def close(self) -> None:
         self.is_open = False
@@ -156,106 +159,100 @@ class Foot(Pedal):
             keys.feed(data)
 
 
-def soon_has(device: InputDevice, hand: str, *buttons: str) -> None:
-    """Wait until a hand has these buttons and no others."""
-    end = time.monotonic() + 20
-    while (found := device.read()) is None or found.hands[hand].buttons != set(buttons):
-        assert time.monotonic() < end, found
-        time.sleep(0.002)
+class Both(Closing):
+    """A device and a pedal beside it, as an operator hears them."""
 
+    def __init__(self, device: InputDevice, foot: Foot, *, is_clutch: bool = True) -> None:
+        self.feeds, self.is_clutch = (Feed(device), Feed(foot)), is_clutch
+        self.asked: list[str] = []
+        for feed in self.feeds:
+            feed.open()
 
-def soon_asks(device: InputDevice, *requests: str) -> None:
-    """Wait until these requests are made, and no others."""
-    end, found = time.monotonic() + 20, list[str]()
-    while found != list(requests):
-        found += device.requests()
-        assert time.monotonic() < end, found
-        time.sleep(0.002)
+    def poll(self) -> News:
+        leading, foot = self.feeds
+        news = with_buttons(leading.poll(), foot.poll(), leading.device.hands, is_clutch=self.is_clutch)
+        presses = [one for pressed in news.pressed.values() for one in pressed if one not in OF_HANDS]
+        self.asked += [*presses, *news.requests]
+        return news
 
+    def until(self, is_true: Callable[[News], bool]) -> News:
+        end = time.monotonic() + 20
+        while not is_true(news := self.poll()):
+            assert time.monotonic() < end, (news, self.asked)
+            time.sleep(0.002)
+        return news
 
-def wait_for_news(device: WithButtons) -> None:
-    """Wait until the second device was read again."""
-    end, before = time.monotonic() + 20, device._second.readings
-    while device._second.readings < before + 3:
-        assert time.monotonic() < end
-        time.sleep(0.002)
+    def soon_has(self, hand: str, *buttons: str) -> None:
+        """Wait until a hand has these buttons and no others."""
+        self.until(lambda news: news.reading is not None and news.reading.hands[hand].buttons == set(buttons))
+
+    def wait(self) -> None:
+        """Wait until the pedal was read again."""
+        before = self.feeds[1].readings
+        self.until(lambda _: self.feeds[1].readings >= before + 3)
+
+    def close(self) -> None:
+        for feed in self.feeds:
+            feed.close()
 
 
 def test_beside_a_pedal_the_devices_own_clutch_does_not_count() -> None:
     still, foot = Still(), Foot()
-    with WithButtons(still, foot) as device:
-        device.open()
-        assert (device.valid_for, device.hands, device.has_clutch) == (0.07, ("left", "right"), True)
-        soon_has(device, "left", "gripper")
-        wait_for_news(device)
+    with Both(still, foot) as both:
+        both.soon_has("left", "gripper")
+        both.wait()
         foot.feed(event(1, A, 1))
-        soon_has(device, "left", "clutch", "gripper")
+        assert "clutch" in both.until(lambda news: bool(news.pressed["left"])).pressed["right"]
+        both.soon_has("left", "clutch", "gripper")
         foot.feed(event(1, A, 0))
-        soon_has(device, "right", "gripper")
+        both.soon_has("right", "gripper")
         foot.feed(event(1, C, 1) + event(1, C, 0))  # too short to be seen held
-        soon_asks(device, "start")
-        foot.feed(event(1, A, 1) + event(1, A, 0))
-        soon_has(device, "right", "clutch", "gripper")
-        soon_has(device, "right", "gripper")
+        both.until(lambda _: both.asked == ["start"])
+        foot.feed(event(1, B, 1) + event(1, B, 0))
+        assert both.until(lambda news: bool(news.pressed["left"])).pressed == {
+            "left": ["gripper"],
+            "right": ["gripper"],
+        }
     assert not still.is_open
 
 
 def test_beside_any_other_device_only_its_clutch_does_not_count() -> None:
-    still, foot = Still(), Foot()
-    with WithButtons(still, foot, clutch=False) as device:
-        device.open()
-        wait_for_news(device)
+    foot = Foot()
+    with Both(Still(), foot, is_clutch=False) as both:
+        both.wait()
         foot.feed(event(1, A, 1) + event(1, C, 1))
-        soon_has(device, "left", "clutch", "gripper")
-        soon_asks(device, "start")
+        both.until(lambda news: both.asked == ["start"] and not news.pressed["left"])
+        both.soon_has("left", "clutch", "gripper")
 
 
 def test_every_key_of_a_pedal_with_one_switch_may_be_the_clutch() -> None:
     with Foot("clutch") as foot:
         foot.open()
         foot.feed(event(1, B, 1))
-        soon_has(foot, "right", "clutch")
+        reading = foot.read()
+        assert reading is not None and reading.hands["right"].buttons == {"clutch"}
 
 
-def test_two_devices_have_the_button_takeover_if_one_has() -> None:
-    leading = Still()
-    assert WithButtons(leading, Foot()).has_takeover
-    leading.has_takeover = False
-    assert not WithButtons(leading, Foot()).has_takeover
-    assert WithButtons(leading, Still()).has_takeover
-
-
-def test_what_of_the_second_device_was_left_out_is_counted_too() -> None:
+def test_a_pedal_that_is_silent_or_lost_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.teleop.feed.RETRY", 0.05)
     foot = Foot()
-    with WithButtons(Still(), foot) as device:
-        device.open()
-        wait_for_news(device)
-        foot.feed(event(1, 0x300, 1) + event(1, A, 7))
-        wait_for_news(device)
-        reading = device.read()
-        assert reading is not None and reading.counts == {"damaged": 2}
-
-
-def test_a_pedal_that_is_silent_or_lost_is_released() -> None:
-    foot = Foot()
-    with WithButtons(Still(), foot) as device:
-        device.open()
-        wait_for_news(device)
+    with Both(Still(), foot) as both:
+        both.wait()
         for fate in ("silent", "lost"):
             foot.feed(event(1, A, 1))
-            soon_has(device, "left", "clutch", "gripper")
+            both.soon_has("left", "clutch", "gripper")
             foot.fate = fate
-            soon_has(device, "left", "gripper")
+            both.soon_has("left", "gripper")
             foot.fate = ""
-            wait_for_news(device)
-            for _ in range(20):  # what is still held, or was before it was opened again, does not count
-                reading = device.read()
-                assert reading is not None and reading.hands["left"].buttons == {"gripper"}
+            both.wait()
+            for _ in range(20):  # what is still held, or was before it was opened again, does not count as pressed
+                assert "clutch" not in both.poll().pressed["left"]
                 time.sleep(0.002)
             foot.feed(event(1, A, 0))
-            wait_for_news(device)
+            both.wait()
         foot.feed(event(1, A, 1))
-        soon_has(device, "left", "clutch", "gripper")
+        both.until(lambda news: "clutch" in news.pressed["left"])
+        both.soon_has("left", "clutch", "gripper")
 
 
 @pytest.mark.parametrize("fate", ["silent", "hangs", "lost", "untracked"])
@@ -264,49 +261,39 @@ def test_requests_beside_a_device_that_is_silent_or_lost_are_made_once(
 ) -> None:
     monkeypatch.setattr("rcs.teleop.feed.RETRY", 0.05)
     foot, leading = Foot(), ScriptedDevice(lambda t: held(LEVEL), is_waiting=True)
-    asked: list[str] = []
-
-    def wait_until(is_true: Callable[[News], bool]) -> None:
-        end = time.monotonic() + 20
-        while True:
-            news = feed.poll()
-            asked.extend([*news.requests, *(one for pressed in news.pressed.values() for one in pressed)])
-            if is_true(news):
-                return
-            assert time.monotonic() < end, (news, asked)
-            time.sleep(0.002)
 
     def leads(news: News) -> bool:
         return news.reading is not None and news.reading.hands["right"].is_tracked
 
-    with Feed(WithButtons(leading, foot)) as feed:
-        feed.open()
-        wait_until(leads)
+    with Both(leading, foot) as both:
+        both.until(leads)
+        both.wait()
         if fate == "untracked":
             leading.script = lambda t: HandReading(is_tracked=False)
         else:
             leading.fate = fate
-        wait_until(lambda news: not leads(news))
+        both.until(lambda news: not leads(news))
         foot.feed(event(1, C, 1) + event(1, C, 0))
-        wait_until(lambda news: bool(asked))
+        both.until(lambda _: bool(both.asked))
         leading.fate, leading.script = "", lambda t: held(LEVEL)
-        wait_until(leads)
+        both.until(leads)
         back = time.monotonic()
-        wait_until(lambda news: time.monotonic() > back + 0.1)
-    assert asked == ["start"]
+        both.until(lambda _: time.monotonic() > back + 0.1)
+        assert both.asked == ["start"]
 
 
 def test_a_press_beside_a_device_with_two_hands_is_one_request() -> None:
     foot, hands = Foot(), ("left", "right")
     leading = ScriptedDevice(lambda t: dict.fromkeys(hands, held(LEVEL)), hands=hands, is_waiting=True)
-    device, asked = WithButtons(leading, foot), list[str]()
+    asked = list[str]()
     with rcs.make("Free", robot="dual_fr3", binary_gripper=False, max_episode_steps=None) as env:
-        operator = Operator(env, device)
+        operator = Operator(env, leading, beside=[foot])
         observation, info = env.reset(seed=0)
         operator.reset(observation, info)
-        wait_for_news(device)
+        ((beside, is_clutch),) = operator._beside
+        assert is_clutch
         end, more = time.monotonic() + 20, 20
-        while operator.feed.readings < 2:
+        while operator.feed.readings < 2 or beside.readings < 2:
             assert time.monotonic() < end
             time.sleep(0.01)
         foot.feed(event(1, C, 1) + event(1, C, 0))
@@ -316,14 +303,28 @@ def test_a_press_beside_a_device_with_two_hands_is_one_request() -> None:
             more -= bool(asked)
             assert time.monotonic() < end
             time.sleep(0.01)
+        foot.feed(event(1, 0x300, 1) + event(1, A, 7))
+        while operator.left_out != ["left out: damaged 2"]:
+            assert time.monotonic() < end, operator.left_out
+            time.sleep(0.01)
         operator.close()
     assert asked == ["start"]
 
 
 def test_a_device_that_does_not_open_leaves_the_pedal_closed() -> None:
     foot = Foot()
-    device = WithButtons(Pedal("/dev/null/none"), foot)
-    with pytest.raises(DeviceFault, match="no foot pedal"):
-        device.open()
+    with rcs.make("Free") as env:
+        operator = Operator(env, Pedal("/dev/null/none"), beside=[foot])
+        with pytest.raises(DeviceFault, match="no foot pedal"):
+            operator.open()
     with pytest.raises(DeviceFault, match="closed"):
         foot.read()
+
+
+def test_the_first_device_beside_a_leader_with_torque_is_its_clutch() -> None:
+    leader = so101_leader("/dev/none", torque=True)
+    with rcs.make("Free", robot="so101") as env:
+        beside = Operator(env, leader, beside=[Still(), Still()])._beside
+        assert [is_clutch for _, is_clutch in beside] == [True, False]
+        leader = so101_leader("/dev/none")
+        assert [is_clutch for _, is_clutch in Operator(env, leader, beside=[Still(), Foot()])._beside] == [False, True]

@@ -28,7 +28,6 @@ from rcs.teleop.device import InputDevice
 from rcs.teleop.leader import Leader
 from rcs.teleop.operator import Operator, device_of
 from rcs.teleop.options import LeadOptions
-from rcs.teleop.pedal import WithButtons
 from rcs.teleop.takeover import Takeover, people_of
 
 
@@ -79,9 +78,9 @@ class TeleopCommand(SetupOptions):
         return 0
 
     def _lead(self, stack: ExitStack, console: Console) -> None:
-        device = self._device()
+        devices = self._devices()
         env = stack.enter_context(make(self._setup(), hardware=self.hardware))
-        agent = self._agent(env, device)
+        agent = self._agent(env, devices)
         stack.callback(agent.close)
         latency = None
         if self.measure:
@@ -95,8 +94,9 @@ class TeleopCommand(SetupOptions):
         (operator,) = people_of(agent)
         operator.open()  # before the robots, so that a missing device is reported first
         loop = Teleoperation(env, agent, takes=takes, seed=self.seed, report=console.print)
-        if device.instructions:
-            console.print(device.instructions, soft_wrap=True)
+        for device in devices:
+            if device.instructions:
+                console.print(device.instructions, soft_wrap=True)
         console.print(f"{' and '.join(self.input)} leads {', '.join(env.robots)}. Ctrl-C ends.", soft_wrap=True)
         states = _States(operator, console)
         try:
@@ -117,28 +117,28 @@ class TeleopCommand(SetupOptions):
         setup = playable(self.setup("realtime", **usual), keep_gripper=keep_gripper)
         return replace(setup, max_episode_steps=self.given.get("max_episode_steps"))
 
-    def _device(self) -> InputDevice:
+    def _devices(self) -> list[InputDevice]:
+        """Return the device that leads, and those beside it."""
         if not self.input:
             raise InvalidSetup("No device is given; valid is one that leads, such as --input keyboard.")
-        device = device_of(self.input[0])
+        devices = [device_of(given) for given in self.input]
         if self.torque:
-            if not isinstance(device, Leader) or len(self.input) < 2:
+            leader = devices[0]
+            if not isinstance(leader, Leader) or len(devices) < 2:
                 raise InvalidSetup(
                     f"--torque with --input {' '.join(self.input)}; it is for a leader, and a device beside it has to "
                     "be the clutch, such as --input gello:gello.json pedal."
                 )
-            device.has_torque = device.has_clutch = True
-        for at, more in enumerate(self.input[1:]):
-            is_clutch = True if self.torque and at == 0 else None
-            device = WithButtons(device, device_of(more), clutch=is_clutch)
-        return device
+            leader.has_torque = leader.has_clutch = True
+        return devices
 
-    def _agent(self, env: Env, device: InputDevice) -> Agent:
-        operator = Operator(env, device, options=self.hand, robots=_pairs(self.lead))
+    def _agent(self, env: Env, devices: Sequence[InputDevice]) -> Agent:
+        robots = _pairs(self.lead)
+        operator = Operator(env, devices[0], beside=devices[1:], options=self.hand, robots=robots)
         actor = self.actor
         if actor is None:
             return operator
-        if not device.has_takeover:
+        if not any(device.has_takeover for device in devices):
             given = " ".join(self.input)
             raise InvalidSetup(f"{given} cannot take over; put a keyboard beside it: --input {given} keyboard.")
         return Takeover(env, agent_for(env, actor), operator)

@@ -13,7 +13,6 @@ from rcs.teleop.leader import LeaderCalibration as LeaderCalibration
 from rcs.teleop.operator import Operator as Operator
 from rcs.teleop.options import LeadOptions as LeadOptions
 from rcs.teleop.pedal import Pedal as Pedal
-from rcs.teleop.pedal import WithButtons as WithButtons
 from rcs.teleop.quest import Quest as Quest
 from rcs.teleop.so101_leader import so101_leader as so101_leader
 from rcs.teleop.spacemouse import SpaceMouse as SpaceMouse

@@ -7,7 +7,7 @@ devices; so a device neither smooths, nor bounds, nor repeats an old reading as 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
@@ -84,7 +84,7 @@ class InputDevice(Closing, ABC):
     """A device by which a person leads robots. Entry points of `rcs.inputs` are called with an address, or with None.
 
     The operator calls `open`, then `read` again and again from one thread of its own, and `close` from any thread.
-    `requests` and `feedback` come from the loop's thread and return at once.
+    `feedback` comes from the loop's thread and returns at once.
     """
 
     valid_for: float = 0.1
@@ -120,20 +120,8 @@ class InputDevice(Closing, ABC):
         Messages that cannot be used are left out and counted; they raise nothing.
 
         Raises:
-            DeviceFault: The device is lost. The operator holds; only `reopen` makes it work again.
+            DeviceFault: The device is lost. The operator holds, closes it and opens it again.
         """
-
-    def reopen(self) -> None:
-        """Connect again what was lost; faults as in `open`."""
-        self.close()
-        self.open()
-
-    def requests(self) -> Sequence[Button]:
-        """Return the requests made since the last call at a device beside this one, oldest first.
-
-        They count whatever becomes of this device. The loop's thread calls it, so it returns at once.
-        """
-        return ()
 
     def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Show the person what the robot does: pictures, rumble, torques of a leader.

@@ -13,7 +13,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import get_args
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rcs_data.files.closing import Closing
 
 from rcs.agents.agent import Event
-from rcs.teleop.device import BUTTONS, Button, HandReading, InputDevice, Reading
+from rcs.teleop.device import BUTTONS, OF_HANDS, Button, HandReading, InputDevice, Reading
 
 _log = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ class News:
     pressed: Mapping[str, Sequence[Button]] = field(default_factory=dict[str, Sequence[Button]])
     """Buttons that were pressed since, by hand, in their order; also without a reading, since requests are not lost."""
     requests: Sequence[Button] = ()
-    """Requests made since at a device beside this one, in their order."""
+    """Requests made since at devices beside this one, in their order."""
     broken: Mapping[str, str] = field(default_factory=dict[str, str])
     """Why a hand could not be followed since, by hand."""
 
@@ -121,18 +121,17 @@ class Feed(Closing):
         """Return what has happened since the last question."""
         if not self._has_thread and (reading := self.device.read()) is not None:
             self._take(reading)
-        requests = self.device.requests()
         now = self._clock()
         with self._lock:
             pressed, self._pressed = self._pressed, {}
             broken, self._broken = self._broken, {}
             newest = self._newest
             if newest is None:
-                return News(why=self._why, pressed=pressed, requests=requests)
+                return News(why=self._why, pressed=pressed)
             age = now - newest.time
             if age > self.device.valid_for:
-                return News(why=self._why or f"silent for {age:.2f} s", pressed=pressed, requests=requests)
-            return News(reading=newest, pressed=pressed, requests=requests, broken=broken)
+                return News(why=self._why or f"silent for {age:.2f} s", pressed=pressed)
+            return News(reading=newest, pressed=pressed, broken=broken)
 
     def close(self) -> None:
         """End the thread and close the device. Closing twice is harmless."""
@@ -152,7 +151,8 @@ class Feed(Closing):
         while not must_end.is_set():
             try:
                 if is_lost:
-                    self.device.reopen()
+                    self.device.close()
+                    self.device.open()
                     is_lost = False
                     if must_end.is_set():  # it was closed meanwhile, before there was anything to close
                         self.device.close()
@@ -195,6 +195,38 @@ class Feed(Closing):
             if not is_fresh and last is not None:
                 self._broken.update(dict.fromkeys(reading.hands, f"silent for {reading.time - last.time:.2f} s"))
             self._newest, self._why = reading, ""
+
+
+def with_buttons(news: News, beside: News, hands: Sequence[str], *, is_clutch: bool) -> News:
+    """Return news with the buttons of a device beside: clutch, gripper and front count for all hands.
+
+    While that is silent they are released, and what is held when it is back counts once it is pressed again. Its
+    requests count also while the first device is silent or lost.
+
+    Args:
+        news: News of the device that leads.
+        beside: News of the other one.
+        hands: Names of the hands that lead.
+        is_clutch: Whether the clutch is that of the other device alone; else that does not count.
+    """
+    clutch: frozenset[Button] = frozenset({"clutch"})
+    reading, there = news.reading, () if beside.reading is None else beside.reading.hands.values()
+    counting = (OF_HANDS if is_clutch else OF_HANDS - clutch) if there else frozenset[Button]()
+    held = counting.intersection(button for hand in there for button in hand.buttons)
+    tapped = [button for pressed in beside.pressed.values() for button in pressed]
+    lost = clutch if is_clutch else frozenset[Button]()
+    if reading is not None:
+        joined = {name: replace(hand, buttons=hand.buttons - lost | held) for name, hand in reading.hands.items()}
+        reading = replace(reading, hands=joined)
+    pressed = {
+        name: [
+            *(button for button in news.pressed.get(name, ()) if button not in lost),
+            *(button for button in tapped if button in counting),
+        ]
+        for name in hands
+    }
+    requests = [*news.requests, *(button for button in tapped if button not in OF_HANDS)]
+    return replace(news, reading=reading, pressed=pressed, requests=requests)
 
 
 def flaw_of(reading: Reading, hands: Sequence[str], last: Reading | None, now: float) -> str:

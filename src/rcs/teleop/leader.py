@@ -155,7 +155,7 @@ class LeaderCalibration(Record):
 class Leader(InputDevice):
     """A leader arm. It leads once it was moved and rests near the follower, without a clutch of its own.
 
-    With torque it rests by itself; it then leads by the clutch of another device beside it (`WithButtons`) alone.
+    With torque it rests by itself; it then leads by the clutch of the first device beside it alone.
     """
 
     valid_for = 0.1

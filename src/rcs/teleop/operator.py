@@ -19,11 +19,13 @@ from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observer import Note
 from rcs.envs.spaces import Action, Observation
+from rcs.envs.step.stack import for_all
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.teleop.device import InputDevice
-from rcs.teleop.feed import REQUESTS, Feed, News
+from rcs.teleop.feed import REQUESTS, Feed, News, with_buttons
 from rcs.teleop.hand import Hand, State
 from rcs.teleop.options import LeadOptions
+from rcs.teleop.pedal import Pedal
 
 LEAST_RATE = 20.0
 """Lowest rate of an environment that a person leads in [Hz]: silence is seen up to a period late, and commands to real
@@ -46,6 +48,7 @@ class Operator(Agent):
         env: Env,
         device: InputDevice | str,
         *,
+        beside: Sequence[InputDevice | str] = (),
         options: LeadOptions | None = None,
         robots: Mapping[str, str] | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -58,6 +61,9 @@ class Operator(Agent):
             device: The device, which the operator opens in `open`, or at the first `reset`, and closes; or the name of
                 an entry point of `rcs.inputs`, or `module:Class`, with an address after another colon, if there is a
                 choice, such as `spacemouse:/dev/hidraw0`.
+            beside: Devices that give only their buttons, such as a pedal, or a keyboard to judge takes. Their clutch
+                does not count, which is any key of motion of a keyboard, but that of a pedal is then the only one; so
+                is that of the first device beside a leader with torque.
             options: Scale, direction, smoothing and speeds; None for the usual ones.
             robots: The robot that each hand leads, by the name of the hand; None for hands and robots of the same name,
                 or for the only robot and the right hand. Robots that no hand leads stay where they are.
@@ -77,9 +83,15 @@ class Operator(Agent):
                 "that robots stop in time when the hand is lost. A policy may decide at a lower rate that divides it."
             )
         options = options or LeadOptions()
-        device = device_of(device)
-        self.device = device
+        self.device = device = device_of(device)
         """The device."""
+        others = [device_of(one) for one in beside]
+        self.devices = [device, *others]
+        """All devices."""
+        needs_clutch = device.motion[0] == "joints" and device.has_clutch
+        self._beside = [
+            (Feed(one), isinstance(one, Pedal) or (needs_clutch and at == 0)) for at, one in enumerate(others)
+        ]
         self.feed = Feed(device, clock=clock, has_thread=has_thread)
         """The readings of the device."""
         self.news = News()
@@ -92,8 +104,9 @@ class Operator(Agent):
             for name, robot in env.robots.items()
         }
         self._others = {name: guide for name, guide in self._guides.items() if name not in self._led.values()}
+        has_clutch = device.has_clutch or any(is_clutch for _, is_clutch in self._beside)
         self._hands = {
-            hand: Hand(self._guides[robot], options, period=1.0 / env.frequency, has_clutch=device.has_clutch)
+            hand: Hand(self._guides[robot], options, period=1.0 / env.frequency, has_clutch=has_clutch)
             for hand, robot in self._led.items()
         }
         self._latency = np.nan
@@ -115,7 +128,8 @@ class Operator(Agent):
     @property
     def left_out(self) -> list[str]:
         """Words on what was left out of the device's messages and how often; empty for nothing."""
-        text = ", ".join(f"{flaw} {number}" for flaw, number in self.feed.left_out.items())
+        counts = sum((feed.left_out for feed, _ in self._beside), self.feed.left_out)
+        text = ", ".join(f"{flaw} {number}" for flaw, number in counts.items())
         return [f"left out: {text}"] if text else []
 
     @property
@@ -137,14 +151,20 @@ class Operator(Agent):
             )
 
     def open(self) -> None:
-        """Connect the device, and begin to read it.
+        """Connect the devices, and begin to read them.
 
         Raises:
             DeviceFault: The device is not there, or may not be opened.
             InvalidSetup: Its address makes no sense.
             MissingDependency: A package is not installed.
         """
-        self.feed.open()
+        try:
+            for feed, _ in self._beside:
+                feed.open()
+            self.feed.open()
+        except BaseException:
+            self.close()
+            raise
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Stay where the robots are, with what the grippers hold; the clutch has to be pressed anew."""
@@ -184,8 +204,7 @@ class Operator(Agent):
         """Take the person's requests while another agent acts; return no action."""
         self._poll()
         self.hold("another agent acts")
-        self._take_requests()
-        self.device.feedback(observation, {**info, "operator": self.states, "led": self._led})
+        self._show(observation, info)
         return {}
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
@@ -207,8 +226,7 @@ class Operator(Agent):
                 time=0.0 if reading is None else reading.time,
                 now=now,
             )
-        self._take_requests()
-        self.device.feedback(observation, {**info, "operator": self.states, "led": self._led})
+        self._show(observation, info)
         return actions if len(actions) > 1 else next(iter(actions.values()))
 
     def notes(self) -> Mapping[str, Any]:
@@ -230,12 +248,14 @@ class Operator(Agent):
         return events
 
     def close(self) -> None:
-        """End the thread and close the device. Closing twice is harmless."""
-        self.feed.close()
+        """End the threads and close the devices. Closing twice is harmless."""
+        for_all([self.feed.close, *(feed.close for feed, _ in self._beside)])
 
     def _poll(self) -> float:
         """Ask for news, and return the present time [s]."""
         self.news = self.feed.poll()
+        for feed, is_clutch in self._beside:
+            self.news = with_buttons(self.news, feed.poll(), self.device.hands, is_clutch=is_clutch)
         now, reading = self._clock(), self.news.reading
         self._latency = np.nan if reading is None else now - reading.time
         before, self._polled = self._polled, now
@@ -243,9 +263,12 @@ class Operator(Agent):
             self.hold(f"the loop was held up for {now - before:.1f} s; press the clutch anew")
         return now
 
-    def _take_requests(self) -> None:
+    def _show(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Take the person's requests, and show what the robot does."""
         for buttons in (*self.news.pressed.values(), self.news.requests):
             self._events.extend(request for button in buttons for request in REQUESTS if request == button)
+        for device in self.devices:
+            device.feedback(observation, {**info, "operator": self.states, "led": self._led})
 
 
 def notes_of(device: InputDevice | type[InputDevice], hands: Iterable[str] | None = None) -> list[Note]:
