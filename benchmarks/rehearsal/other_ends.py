@@ -34,7 +34,7 @@ from rcs.teleop import gello as gello_at
 from rcs.teleop import so101_leader as so101_leader_at
 from rcs.teleop.headset_messages import TO_FRONT_LEFT_UP
 from rcs.teleop.quest import Quest
-from rcs.teleop.terminal_keys import ASK, ASK_FOR_PROTOCOL
+from rcs.teleop.terminal import ASK, ASK_FOR_PROTOCOL
 from rcs.teleop.vive_relay import POSES, RIGHT, Tracked, meet, pack
 
 SERVOS = Path(__file__).parents[2] / "tests" / "teleop" / "leader_bus.py"

@@ -13,7 +13,7 @@ from rcs.teleop.gello import Answers, packet
 from rcs.teleop.headset_messages import FrameMessage, decode, hand_of
 from rcs.teleop.input_events import HIGHEST, InputEvents
 from rcs.teleop.spacemouse import KnobReports
-from rcs.teleop.terminal_keys import TerminalKeys
+from rcs.teleop.terminal import TerminalKeys
 
 COUNT = 100_000
 

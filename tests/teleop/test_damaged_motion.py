@@ -32,8 +32,7 @@ from rcs.teleop.input_events import EVENT, HIGHEST, InputEvents
 from rcs.teleop.keyboard import MOTIONS
 from rcs.teleop.so101_leader import so101_leader, uncalibrated
 from rcs.teleop.spacemouse import KnobReports
-from rcs.teleop.terminal import Terminal
-from rcs.teleop.terminal_keys import TerminalKeys
+from rcs.teleop.terminal import Terminal, TerminalKeys
 from tests.teleop.leaders import COUNTS, STEP, bus_of, calibrated, saved
 from tests.teleop.test_damaged import COUNT, damaged
 

@@ -19,7 +19,7 @@ import pytest
 
 from rcs.errors import InvalidSetup
 from rcs.teleop.keyboard import MOTIONS, Keyboard
-from rcs.teleop.terminal_keys import ASK, ASK_FOR_PROTOCOL, BEGIN_PROTOCOL, END_PROTOCOL, KeyEvent, TerminalKeys
+from rcs.teleop.terminal import ASK, ASK_FOR_PROTOCOL, BEGIN_PROTOCOL, END_PROTOCOL, KeyEvent, TerminalKeys
 
 READ = Path(__file__).parent / "read_device.py"
 PEER = 0x5441

@@ -25,9 +25,9 @@ from rcs.rollout.takes import Takes
 from rcs.rollout.teleoperate import Teleoperation, without_figures
 from rcs.setups.make import make
 from rcs.teleop.device import InputDevice
+from rcs.teleop.hand import LeadOptions
 from rcs.teleop.leader import Leader
 from rcs.teleop.operator import Operator, device_of
-from rcs.teleop.options import LeadOptions
 from rcs.teleop.takeover import Takeover, people_of
 
 

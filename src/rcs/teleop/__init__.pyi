@@ -7,11 +7,11 @@ from rcs.teleop.feed import Feed as Feed
 from rcs.teleop.feed import News as News
 from rcs.teleop.gamepad import Gamepad as Gamepad
 from rcs.teleop.gello import gello as gello
+from rcs.teleop.hand import LeadOptions as LeadOptions
 from rcs.teleop.keyboard import Keyboard as Keyboard
 from rcs.teleop.leader import Leader as Leader
 from rcs.teleop.leader import LeaderCalibration as LeaderCalibration
 from rcs.teleop.operator import Operator as Operator
-from rcs.teleop.options import LeadOptions as LeadOptions
 from rcs.teleop.pedal import Pedal as Pedal
 from rcs.teleop.quest import Quest as Quest
 from rcs.teleop.so101_leader import so101_leader as so101_leader

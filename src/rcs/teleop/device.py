@@ -6,16 +6,18 @@ devices; so a device neither smooths, nor bounds, nor repeats an old reading as 
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from rcs_data.files.closing import Closing
 
 from rcs.envs.spaces import Observation
+from rcs.errors import DeviceFault
 
 Button = Literal[
     "clutch", "gripper", "front", "start", "success", "failure", "discard", "stop", "reset", "takeover"
@@ -135,3 +137,58 @@ class InputDevice(Closing, ABC):
     @abstractmethod
     def close(self) -> None:
         """Let go of the device, and end a `read` that waits. Closing twice is harmless."""
+
+
+class Closable(Protocol):
+    """A file, a port or the like."""
+
+    def close(self) -> None:
+        """Give it back."""
+        ...
+
+
+Resource = TypeVar("Resource", bound=Closable)
+
+
+class Opened(Generic[Resource]):
+    """Holds an open resource; `with` blocks use it, one at a time."""
+
+    def __init__(self, what: str) -> None:
+        """Hold nothing.
+
+        Args:
+            what: The device in messages.
+        """
+        self._what = what
+        self._lock = threading.Lock()
+        self._resource: Resource | None = None
+        self._must_close = False
+
+    def put(self, resource: Resource) -> None:
+        """Hold a resource in place of the last one, which is closed."""
+        self.close()
+        self._resource, self._must_close = resource, False
+
+    def __enter__(self) -> Resource:
+        """Use the resource.
+
+        Raises:
+            DeviceFault: There is none.
+        """
+        self._lock.acquire()
+        if self._resource is None or self._must_close:
+            self._lock.release()
+            raise DeviceFault(f"The {self._what} is closed; open it first.")
+        return self._resource
+
+    def __exit__(self, *_: object) -> None:
+        """Let other threads have it."""
+        self._lock.release()
+
+    def close(self) -> None:
+        """Close the resource as soon as nobody uses it; closing twice is harmless."""
+        self._must_close = True  # a thread that reads again and again would not let go of the lock
+        with self._lock:
+            if self._resource is not None:
+                resource, self._resource = self._resource, None
+                resource.close()

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from rcs.envs.spaces import Observation
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.extras import package_of
-from rcs.teleop.device import Button, HandReading, InputDevice, Motion, Reading
+from rcs.teleop.device import Button, HandReading, InputDevice, Motion, Opened, Reading
 from rcs.teleop.device_file import one_of, udev_rule
 from rcs.teleop.input_events import keys_of
-from rcs.teleop.opened import Opened
 
 PERIOD = 0.008
 """Time between two readings [s]; most gamepads report every 4 to 8 ms."""

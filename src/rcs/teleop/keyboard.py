@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rcs.errors import InvalidSetup
-from rcs.teleop.device import Button, HandReading, InputDevice, Motion, Reading
+from rcs.teleop.device import Button, HandReading, InputDevice, Motion, Opened, Reading
 from rcs.teleop.input_events import InputEvents, Keys
-from rcs.teleop.opened import Opened
 from rcs.teleop.terminal import Terminal
 
 PERIOD = 0.02

@@ -22,8 +22,7 @@ from rcs_data.options import Meta, Record
 
 from rcs.envs.spaces import JOINTS, Observation
 from rcs.errors import InvalidSetup
-from rcs.teleop.device import HandReading, InputDevice, Reading
-from rcs.teleop.opened import Opened
+from rcs.teleop.device import HandReading, InputDevice, Opened, Reading
 
 PERIOD = 0.01
 """Time between two readings [s]; a slow bus takes longer."""

@@ -23,8 +23,7 @@ from rcs.envs.step.stack import for_all
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.teleop.device import InputDevice
 from rcs.teleop.feed import REQUESTS, Feed, News, with_buttons
-from rcs.teleop.hand import Hand, State
-from rcs.teleop.options import LeadOptions
+from rcs.teleop.hand import Hand, LeadOptions, State
 from rcs.teleop.pedal import Pedal
 
 LEAST_RATE = 20.0

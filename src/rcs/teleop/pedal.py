@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Reading
+from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Opened, Reading
 from rcs.teleop.device_file import one_of
 from rcs.teleop.input_events import InputEvents, find
-from rcs.teleop.opened import Opened
 
 PEDALS = frozenset({("0c45", "7403"), ("0c45", "7404"), ("413d", "2107"), ("1a86", "e026"), ("3553", "b001")})
 """Vendors and products of PCsensor's foot switches, which most are (the list of the program `footswitch`)."""

@@ -16,10 +16,9 @@ from rcs.background_thread import BackgroundThread
 from rcs.envs.spaces import FRAMES, RGB, Observation
 from rcs.errors import InvalidSetup
 from rcs.teleop import credentials
-from rcs.teleop.device import POLL, InputDevice, Reading
+from rcs.teleop.device import POLL, InputDevice, Opened, Reading
 from rcs.teleop.headset_messages import hand_of
 from rcs.teleop.headset_server import HeadsetServer
-from rcs.teleop.opened import Opened
 from rcs.teleop.waking_clock import WakingClock
 
 PORT = 8443

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Motion, Reading
+from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Motion, Opened, Reading
 from rcs.teleop.device_file import DeviceFile, line_of, one_of
-from rcs.teleop.opened import Opened
 
 VENDORS = ("0000256F", "0000046D")
 """3Dconnexion, and Logitech, which sold older models, as in the kernel's HID_ID."""

@@ -19,9 +19,8 @@ from rcs.errors import DeviceFault, InvalidSetup
 from rcs.extras import package_of
 from rcs.spatial import matrix_to_tquat
 from rcs.teleop import credentials
-from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Reading
+from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Opened, Reading
 from rcs.teleop.headset_messages import from_headset
-from rcs.teleop.opened import Opened
 from rcs.teleop.quest import address_of
 from rcs.teleop.vive_relay import (
     GREETING,
