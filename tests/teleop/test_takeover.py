@@ -142,25 +142,19 @@ def test_a_policy_that_cannot_begin_again_leaves_the_robot_to_the_person() -> No
         observation, info = env.reset(seed=3)
         agent.reset(observation, info)
         assert agent.failure_message is None
-        assert not agent.is_lost
         agent._pace.agent.is_gone = True  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]
         for _ in range(45):
             observation, *_, info = env.step(agent.act(observation, info))
         assert agent.actor == "person"
         assert agent.failure_message == "RcsError: Nobody answers. The person has the robots."
         assert "stop" not in agent.events()
-        assert agent.is_lost
         agent.reset(observation, info)
         assert agent.actor == "person"
 
 
-def test_what_is_known_of_a_policy_is_known_of_one_that_a_person_may_take_over() -> None:
+def test_what_went_wrong_with_a_policy_is_said_with_a_way_on() -> None:
     class Served(Slow):
-        is_lost = True
-        weights = "aa"
-        latencies = (0.1, 0.2)
         failure_message = "The server is gone."
 
     with interrupted(Served) as (_, agent):
-        assert (agent.is_lost, agent.weights, list(agent.latencies)) == (True, "aa", [0.1, 0.2])
         assert agent.failure_message == "The server is gone. The person may take over."

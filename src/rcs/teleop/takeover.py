@@ -103,30 +103,10 @@ class Takeover(Agent):
         return [*events, *(self._pace.agent.events() if self.actor == "policy" else ())]
 
     @property
-    def failure(self) -> str | None:
-        """Why the policy gave up; None if it has not."""
-        return self._pace.agent.failure
-
-    @property
     def failure_message(self) -> str | None:
         """Words on why the policy could not begin, or its message about a problem."""
         words = self._pace.agent.failure_message
         return self._refusal or (words and f"{words} The person may take over.")
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether the policy could not begin, or the connection to it was lost in this episode."""
-        return self._refusal is not None or self._pace.agent.is_lost
-
-    @property
-    def weights(self) -> str | None:
-        """SHA-256 of the policy's weights; None if that is not known."""
-        return self._pace.agent.weights
-
-    @property
-    def latencies(self) -> Sequence[float]:
-        """How long each answer of the policy took in this episode [s]."""
-        return self._pace.agent.latencies
 
     def close(self) -> None:
         """Close both, also when one of them fails to. Closing twice is harmless."""
