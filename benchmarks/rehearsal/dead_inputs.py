@@ -166,10 +166,10 @@ class Foot(End):
         self._person, self._path, self._file = Person(), str(folder / "pedal"), -1
 
         class Plugged(Pedal):
-            def open(own) -> None:  # noqa: N805
+            def connect(own) -> InputEvents:  # noqa: N805
                 keys = InputEvents(self._path, "pedal")
                 keys._file = DeviceFile(self._path, "pedal", "")
-                own._opened.put(keys)
+                return keys
 
         self.device, self.beside = self._person, [Plugged(self._path)]
 

@@ -275,7 +275,7 @@ def test_messages_of_a_headset() -> None:
     device: Any = Quest("127.0.0.1:0")
     device.open()
     device.open, device.sent_damaged = lambda: None, 0  # the operator finds it open, for the page needs its address
-    server, random_, number = device._opened._resource, random.Random(6), 0
+    server, random_, number = device._connection, random.Random(6), 0
     where, _, code = device.url.partition("#")
     trusting = ssl.create_default_context(cafile=str(credentials.folder() / "teleop.pem"))
     page = client.connect(f"{where.replace('https', 'wss')}stream", ssl=trusting, compression=None)
@@ -317,7 +317,7 @@ def test_packets_of_a_relay() -> None:
     device: Any = Vive("127.0.0.1:0")
     device.open()
     device.open, device.sent_damaged = lambda: None, 0
-    relay, random_, number = device._opened._resource, random.Random(9), 0
+    relay, random_, number = device._connection, random.Random(9), 0
     code = device.instructions.split()[-1]
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     link.connect(("127.0.0.1", relay.port))

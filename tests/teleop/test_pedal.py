@@ -142,7 +142,7 @@ class Foot(Pedal):
 
     fate = ""
 
-    def open(self) -> None:
+    def connect(self) -> InputEvents:
         keys = InputEvents("", "")
 
         def wait(seconds: float) -> None:
@@ -152,11 +152,12 @@ class Foot(Pedal):
             keys.time = keys.time if self.fate else time.monotonic()
 
         keys.wait = wait  # type: ignore[method-assign]
-        self._opened.put(keys)
+        return keys
 
     def feed(self, data: bytes) -> None:
-        with self._opened as keys:
-            keys.feed(data)
+        with self._lock:
+            assert self._connection is not None
+            self._connection.feed(data)
 
 
 class Both(Closing):

@@ -349,7 +349,7 @@ def test_a_code_that_is_no_code_keeps_everybody_out(text: str) -> None:
 
 
 def test_frames_that_are_read_while_they_are_dropped_end_no_connection(quest: Quest) -> None:
-    server: Any = quest._opened._resource
+    server: Any = quest._connection
 
     class Read(queue.Queue[Any]):
         """Is emptied by the reader once it was found full."""

@@ -147,48 +147,45 @@ class Closable(Protocol):
         ...
 
 
-Resource = TypeVar("Resource", bound=Closable)
+Connection = TypeVar("Connection", bound=Closable)
 
 
-class Opened(Generic[Resource]):
-    """Holds an open resource; `with` blocks use it, one at a time."""
+class Connected(InputDevice, Generic[Connection]):
+    """An input device with a connection: one thread reads it, and any thread may close it."""
 
-    def __init__(self, what: str) -> None:
-        """Hold nothing.
+    what: str
+    """The device in messages."""
 
-        Args:
-            what: The device in messages.
-        """
-        self._what = what
+    def __init__(self) -> None:
+        """Connect nothing."""
         self._lock = threading.Lock()
-        self._resource: Resource | None = None
+        self._connection: Connection | None = None
         self._must_close = False
 
-    def put(self, resource: Resource) -> None:
-        """Hold a resource in place of the last one, which is closed."""
+    @abstractmethod
+    def connect(self) -> Connection:
+        """Return the connection; faults as in `InputDevice.open`."""
+
+    @abstractmethod
+    def measure(self, connection: Connection) -> Reading | None:
+        """Return the next reading, as `InputDevice.read`."""
+
+    def open(self) -> None:
+        """Connect, in place of the last connection; faults as in `InputDevice.open`."""
         self.close()
-        self._resource, self._must_close = resource, False
+        self._connection, self._must_close = self.connect(), False
 
-    def __enter__(self) -> Resource:
-        """Use the resource.
-
-        Raises:
-            DeviceFault: There is none.
-        """
-        self._lock.acquire()
-        if self._resource is None or self._must_close:
-            self._lock.release()
-            raise DeviceFault(f"The {self._what} is closed; open it first.")
-        return self._resource
-
-    def __exit__(self, *_: object) -> None:
-        """Let other threads have it."""
-        self._lock.release()
+    def read(self) -> Reading | None:
+        """Return the next reading; None and faults as in `InputDevice.read`."""
+        with self._lock:
+            if self._connection is None or self._must_close:
+                raise DeviceFault(f"The {self.what} is closed; open it first.")
+            return self.measure(self._connection)
 
     def close(self) -> None:
-        """Close the resource as soon as nobody uses it; closing twice is harmless."""
+        """Close the connection as soon as nobody reads; closing twice is harmless."""
         self._must_close = True  # a thread that reads again and again would not let go of the lock
         with self._lock:
-            if self._resource is not None:
-                resource, self._resource = self._resource, None
-                resource.close()
+            if self._connection is not None:
+                connection, self._connection = self._connection, None
+                connection.close()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rcs.envs.spaces import Observation
 from rcs.errors import DeviceFault, InvalidSetup
 from rcs.extras import package_of
-from rcs.teleop.device import Button, HandReading, InputDevice, Motion, Opened, Reading
+from rcs.teleop.device import Button, Connected, HandReading, Motion, Reading
 from rcs.teleop.device_file import one_of, udev_rule
 from rcs.teleop.input_events import keys_of
 
@@ -48,59 +48,11 @@ SETTINGS = {
 """Settings of SDL: no advertisement, signals are the program's, and no window is needed."""
 
 
-class Gamepad(InputDevice):
-    """Two sticks; the left shoulder is the clutch, and the right trigger closes the gripper."""
-
-    valid_for = 0.08
-    motion: Motion = ("twist", 6)
-
-    def __init__(self, address: str | None = None) -> None:
-        """Remember which.
-
-        Args:
-            address: Number of the gamepad as SDL counts them, from 0 on; None for the only one.
-
-        Raises:
-            InvalidSetup: The address is no number.
-        """
-        if address is not None and not address.isdigit():
-            raise InvalidSetup(f"The gamepad's address is {address!r}; valid is none, or a number such as 0.")
-        self._address = address
-        self._opened = Opened[_Pad]("gamepad")
-        self._due = 0.0
-        self._state, self._rumble = "", ""
-
-    def open(self) -> None:
-        """Open it; faults as in `InputDevice.open`."""
-        self._opened.put(_Pad(self._address))
-
-    def read(self) -> Reading | None:
-        """Return what is held, 125 times a second at most."""
-        with self._opened as pad:
-            time.sleep(max(self._due - time.monotonic(), 0.0))
-            self._due = time.monotonic() + PERIOD
-            axes, buttons = pad.state()
-            rumble, self._rumble = self._rumble, ""
-            if rumble in RUMBLE:
-                strength, duration = RUMBLE[rumble]
-                pad.rumble(strength, duration)
-            return Reading(time=time.monotonic(), hands={"right": hand_of(axes, buttons)})
-
-    def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Let the person feel that the robot follows, or that it is held."""
-        state = dict(info.get("operator", {})).get("right", "")
-        if state != self._state:
-            self._state = self._rumble = state
-
-    def close(self) -> None:
-        """Let go of it."""
-        self._opened.close()
-
-
-class _Pad:
+class Pad:
     """An open gamepad of SDL."""
 
     def __init__(self, address: str | None) -> None:
+        """Open it; arguments and faults as of `Gamepad`."""
         os.environ.update(SETTINGS)
         os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # SDL gives no news without one
         self._pygame = package_of("teleop", "pygame", "A gamepad needs pygame-ce, which brings")
@@ -138,6 +90,51 @@ class _Pad:
     def close(self) -> None:
         """Let go of the gamepad."""
         self._pad.quit()
+
+
+class Gamepad(Connected[Pad]):
+    """Two sticks; the left shoulder is the clutch, and the right trigger closes the gripper."""
+
+    what = "gamepad"
+    valid_for = 0.08
+    motion: Motion = ("twist", 6)
+
+    def __init__(self, address: str | None = None) -> None:
+        """Remember which.
+
+        Args:
+            address: Number of the gamepad as SDL counts them, from 0 on; None for the only one.
+
+        Raises:
+            InvalidSetup: The address is no number.
+        """
+        if address is not None and not address.isdigit():
+            raise InvalidSetup(f"The gamepad's address is {address!r}; valid is none, or a number such as 0.")
+        super().__init__()
+        self._address = address
+        self._due = 0.0
+        self._state, self._rumble = "", ""
+
+    def connect(self) -> Pad:
+        """Open it; faults as in `InputDevice.open`."""
+        return Pad(self._address)
+
+    def measure(self, connection: Pad) -> Reading:
+        """Return what is held, 125 times a second at most."""
+        time.sleep(max(self._due - time.monotonic(), 0.0))
+        self._due = time.monotonic() + PERIOD
+        axes, buttons = connection.state()
+        rumble, self._rumble = self._rumble, ""
+        if rumble in RUMBLE:
+            strength, duration = RUMBLE[rumble]
+            connection.rumble(strength, duration)
+        return Reading(time=time.monotonic(), hands={"right": hand_of(axes, buttons)})
+
+    def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Let the person feel that the robot follows, or that it is held."""
+        state = dict(info.get("operator", {})).get("right", "")
+        if state != self._state:
+            self._state = self._rumble = state
 
 
 def hand_of(axes: NDArray[np.float64], buttons: frozenset[int]) -> HandReading:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rcs.errors import InvalidSetup
-from rcs.teleop.device import Button, HandReading, InputDevice, Motion, Opened, Reading
+from rcs.teleop.device import Button, Connected, HandReading, Motion, Reading
 from rcs.teleop.input_events import InputEvents, Keys
 from rcs.teleop.terminal import Terminal
 
@@ -33,9 +33,10 @@ TOGETHER = 6
 """Most keys of motion at once; more mean something lies on the keyboard."""
 
 
-class Keyboard(InputDevice):
+class Keyboard(Connected[Keys]):
     """Keys command the velocity of one hand as long as they are held; `space` opens and closes the gripper."""
 
+    what = "keyboard"
     valid_for = 0.15
     motion: Motion = ("twist", 6)
     instructions = (
@@ -56,46 +57,41 @@ class Keyboard(InputDevice):
         """
         if address is not None and not address.startswith("/"):
             raise InvalidSetup(f"The keyboard's address is {address!r}; valid is none, or a path of /dev/input/.")
+        super().__init__()
         self._address, self._given = address, keys
-        self._opened = Opened[Keys]("keyboard")
         self._last, self._unknown = 0.0, 0
         self.speed = SPEED
         """Velocity while a key is held [m/s]."""
 
-    def open(self) -> None:
+    def connect(self) -> Keys:
         """Open it; faults as in `InputDevice.open`."""
         keys = self._given
         if keys is None:
             keys = Terminal(MEANINGS) if self._address is None else InputEvents(self._address, "keyboard")
         keys.open()
         self.speed, self._unknown = SPEED, 0
-        self._opened.put(keys)
+        return keys
 
-    def read(self) -> Reading | None:
+    def measure(self, connection: Keys) -> Reading | None:
         """Return what is held, at each change and about every 0.03 s; None while the terminal does not answer."""
-        with self._opened as keys:
-            keys.wait(PERIOD)
-            if keys.time <= self._last:
-                return None  # the terminal has not answered
-            self._last = keys.time
-            pressed, keys.pressed = keys.pressed, []
-            self._unknown += len([key for key in pressed if key not in KNOWN])
-            for key in pressed:
-                step = STEP if key in FASTER else 1 / STEP if key == SLOWER else 1.0
-                self.speed = min(max(self.speed * step, SLOWEST), FASTEST)
-            held = keys.held.union(pressed)  # a short press is in one reading at least
-            moving = [MOTIONS[key] for key in held if key in MOTIONS]
-            twist = np.zeros(6)
-            if len(moving) <= TOGETHER:
-                for axis, sign in moving:
-                    twist[axis] += sign * self.speed * (1.0 if axis < 3 else TURN)
-            buttons: set[Button] = {MEANINGS[key] for key in held if key in MEANINGS}
-            if twist.any():
-                buttons.add("clutch")
-            hand = HandReading(twist=twist, buttons=frozenset(buttons))
-            counts = {"damaged": keys.damaged, "unknown key": self._unknown}
-            return Reading(time=keys.time, hands={"right": hand}, counts=counts)
-
-    def close(self) -> None:
-        """Give the keyboard back."""
-        self._opened.close()
+        connection.wait(PERIOD)
+        if connection.time <= self._last:
+            return None  # the terminal has not answered
+        self._last = connection.time
+        pressed, connection.pressed = connection.pressed, []
+        self._unknown += len([key for key in pressed if key not in KNOWN])
+        for key in pressed:
+            step = STEP if key in FASTER else 1 / STEP if key == SLOWER else 1.0
+            self.speed = min(max(self.speed * step, SLOWEST), FASTEST)
+        held = connection.held.union(pressed)  # a short press is in one reading at least
+        moving = [MOTIONS[key] for key in held if key in MOTIONS]
+        twist = np.zeros(6)
+        if len(moving) <= TOGETHER:
+            for axis, sign in moving:
+                twist[axis] += sign * self.speed * (1.0 if axis < 3 else TURN)
+        buttons: set[Button] = {MEANINGS[key] for key in held if key in MEANINGS}
+        if twist.any():
+            buttons.add("clutch")
+        hand = HandReading(twist=twist, buttons=frozenset(buttons))
+        counts = {"damaged": connection.damaged, "unknown key": self._unknown}
+        return Reading(time=connection.time, hands={"right": hand}, counts=counts)

@@ -22,7 +22,7 @@ from rcs_data.options import Meta, Record
 
 from rcs.envs.spaces import JOINTS, Observation
 from rcs.errors import InvalidSetup
-from rcs.teleop.device import HandReading, InputDevice, Opened, Reading
+from rcs.teleop.device import Connected, HandReading, Reading
 
 PERIOD = 0.01
 """Time between two readings [s]; a slow bus takes longer."""
@@ -151,7 +151,7 @@ class LeaderCalibration(Record):
         return float(np.clip(way / (self.opened - self.closed), 0.0, 1.0))
 
 
-class Leader(InputDevice):
+class Leader(Connected[LeaderBus]):
     """A leader arm. It leads once it was moved and rests near the follower, without a clutch of its own.
 
     With torque it rests by itself; it then leads by the clutch of the first device beside it alone.
@@ -170,41 +170,41 @@ class Leader(InputDevice):
             connect: Connects and switches the motors off; faults as in `InputDevice.open`.
             torque: Have motors lead the arm gently after the robot while the person does not lead.
         """
+        super().__init__()
         self.calibration = calibration
         """Calibration in use."""
+        self.what = f"leader at {calibration.address}"
         self.has_torque = self.has_clutch = torque
         self.motion = ("joints", len(calibration.near))
-        self._connect = connect
-        self._opened = Opened[LeaderBus](f"leader at {calibration.address}")
+        self._make_bus = connect
         self._joints = np.array(calibration.near)
         self._goal: NDArray[np.float64] | None = None
         self._robot: tuple[float, NDArray[np.float64]] | None = None
         self._due = 0.0
 
-    def open(self) -> None:
+    def connect(self) -> LeaderBus:
         """Connect and switch the motors off, so that the leader can be moved."""
-        self._opened.put(self._connect(self.calibration))
         self._joints, self._goal, self._robot = np.array(self.calibration.near), None, None
-        atexit.unregister(self.close)
+        bus = self._make_bus(self.calibration)
         atexit.register(self.close)
+        return bus
 
-    def read(self) -> Reading | None:
+    def measure(self, connection: LeaderBus) -> Reading:
         """Return the joints, a hundred times a second at most; with torque, lead the arm on.
 
         Raises:
             DeviceFault: A servo does not answer.
         """
-        with self._opened as bus:
-            time.sleep(max(self._due - time.monotonic(), 0.0))
-            self._due = time.monotonic() + PERIOD
-            angles = bus.angles()
-            now = time.monotonic()
-            self._joints = self.calibration.joints(angles, self._joints)
-            if self.has_torque:
-                self._goal = self._next_goal(now)
-                bus.drive(None if self._goal is None else self.calibration.angles(self._goal, angles))
-            hand = HandReading(joints=self._joints, opening=self.calibration.opening(angles))
-            return Reading(time=now, hands={"right": hand}, counts={"repeated": bus.failures})
+        time.sleep(max(self._due - time.monotonic(), 0.0))
+        self._due = time.monotonic() + PERIOD
+        angles = connection.angles()
+        now = time.monotonic()
+        self._joints = self.calibration.joints(angles, self._joints)
+        if self.has_torque:
+            self._goal = self._next_goal(now)
+            connection.drive(None if self._goal is None else self.calibration.angles(self._goal, angles))
+        hand = HandReading(joints=self._joints, opening=self.calibration.opening(angles))
+        return Reading(time=now, hands={"right": hand}, counts={"repeated": connection.failures})
 
     def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """With torque, have the arm follow the robot unless the person leads."""
@@ -217,7 +217,7 @@ class Leader(InputDevice):
     def close(self) -> None:
         """Switch the motors off and disconnect."""
         atexit.unregister(self.close)
-        self._opened.close()
+        super().close()
 
     def _next_goal(self, now: float) -> NDArray[np.float64] | None:
         """Return the joints where the motors are to hold the arm next; None for motors that are off."""

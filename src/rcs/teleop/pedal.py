@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Opened, Reading
+from rcs.teleop.device import POLL, Button, Connected, HandReading, Reading
 from rcs.teleop.device_file import one_of
 from rcs.teleop.input_events import InputEvents, find
 
@@ -14,9 +14,10 @@ CLUTCH = "clutch"
 """Address of a pedal of which every key is the clutch: those with one switch are sold with the key b."""
 
 
-class Pedal(InputDevice):
+class Pedal(Connected[InputEvents]):
     """One to three pedals: clutch, gripper, and beginning or end of a take."""
 
+    what = "foot pedal"
     valid_for = 0.1
     has_takeover = False
 
@@ -27,28 +28,21 @@ class Pedal(InputDevice):
             address: Path such as `/dev/input/event5`; None for the only one of a known kind, `clutch` for that one with
                 every key as the clutch.
         """
+        super().__init__()
         self._address = None if address == CLUTCH else address
         self._meanings: dict[str, Button] = {} if address == CLUTCH else MEANINGS
-        self._opened = Opened[InputEvents]("foot pedal")
 
-    def open(self) -> None:
+    def connect(self) -> InputEvents:
         """Open the device and keep its keys from all other programs; faults as in `InputDevice.open`."""
         missing = "Plug it in, or give the path of another kind: ls -l /dev/input/by-id"
         keys = InputEvents(self._address or one_of("foot pedal", find(PEDALS), missing), "foot pedal")
         keys.open()
-        self._opened.put(keys)
+        return keys
 
-    def read(self) -> Reading | None:
+    def measure(self, connection: InputEvents) -> Reading:
         """Return what is held, at each change and at least every 0.05 s."""
-        with self._opened as keys:
-            keys.wait(POLL / 2)
-            held = keys.held.union(keys.pressed)
-            keys.pressed = []
-            buttons: frozenset[Button] = frozenset(self._meanings.get(key, "clutch") for key in held)
-            return Reading(
-                time=keys.time, hands={"right": HandReading(buttons=buttons)}, counts={"damaged": keys.damaged}
-            )
-
-    def close(self) -> None:
-        """Give the device back."""
-        self._opened.close()
+        connection.wait(POLL / 2)
+        held = connection.held.union(connection.pressed)
+        connection.pressed = []
+        hand = HandReading(buttons=frozenset(self._meanings.get(key, "clutch") for key in held))
+        return Reading(time=connection.time, hands={"right": hand}, counts={"damaged": connection.damaged})

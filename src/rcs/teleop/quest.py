@@ -16,7 +16,7 @@ from rcs.background_thread import BackgroundThread
 from rcs.envs.spaces import FRAMES, RGB, Observation
 from rcs.errors import InvalidSetup
 from rcs.teleop import credentials
-from rcs.teleop.device import POLL, InputDevice, Opened, Reading
+from rcs.teleop.device import POLL, Connected, Reading
 from rcs.teleop.headset_messages import hand_of
 from rcs.teleop.headset_server import HeadsetServer
 from rcs.teleop.waking_clock import WakingClock
@@ -30,9 +30,10 @@ QUALITY = 80
 """Quality of their JPEG."""
 
 
-class Quest(InputDevice):
+class Quest(Connected[HeadsetServer]):
     """Two controllers; each hand's squeeze is its clutch, its trigger closes its gripper."""
 
+    what = "page for headsets"
     valid_for = 0.1
     hands = ("left", "right")
 
@@ -45,40 +46,39 @@ class Quest(InputDevice):
         Raises:
             InvalidSetup: The address is neither.
         """
+        super().__init__()
         self._host, self._port = address_of(address, PORT)
-        self._opened = Opened[HeadsetServer]("page for headsets")
         self._clock, self._session, self._is_pushed = WakingClock(), 0, False
         self._shown: Feedback | None = None
         self.url = ""
         """Address to open in the headset, with the code; empty while closed."""
 
-    def open(self) -> None:
+    def connect(self) -> HeadsetServer:
         """Serve the page, with a certificate that is made at first use; faults as in `InputDevice.open`."""
         code = credentials.code()
         server = HeadsetServer(self._host, self._port, code, credentials.tls())
         host = credentials.own_addresses()[0] if self._host == "0.0.0.0" else self._host
         self.url = f"https://{host}:{server.port}/#{code}"
         self.instructions = f"Open {self.url} in the headset's browser, and accept its certificate."
-        self._opened.put(server)
         self._shown = Feedback(server)
+        return server
 
-    def read(self) -> Reading | None:
+    def measure(self, connection: HeadsetServer) -> Reading | None:
         """Return the next frame of the headset; None while there is none."""
-        with self._opened as server:
-            try:
-                arrived, frame = server.frames.get(timeout=POLL)
-            except queue.Empty:
-                return None
-            if server.sessions != self._session:
-                self._clock, self._session = WakingClock(), server.sessions
-            at = self._clock.host_time(1e-3 * frame.time, arrived)
-            if at is None:  # the headset was asleep
-                server.counts["clock jumped"] += 1
-                return None
-            at -= 0.5e-3 * frame.round_trip
-            hands = {name: hand_of(name, frame.hands.get(name), was_pushed=self._is_pushed) for name in self.hands}
-            self._is_pushed = "takeover" in hands["left"].buttons
-            return Reading(time=at, hands=hands, device_time=1e-3 * frame.time, counts=dict(server.counts))
+        try:
+            arrived, frame = connection.frames.get(timeout=POLL)
+        except queue.Empty:
+            return None
+        if connection.sessions != self._session:
+            self._clock, self._session = WakingClock(), connection.sessions
+        at = self._clock.host_time(1e-3 * frame.time, arrived)
+        if at is None:  # the headset was asleep
+            connection.counts["clock jumped"] += 1
+            return None
+        at -= 0.5e-3 * frame.round_trip
+        hands = {name: hand_of(name, frame.hands.get(name), was_pushed=self._is_pushed) for name in self.hands}
+        self._is_pushed = "takeover" in hands["left"].buttons
+        return Reading(time=at, hands=hands, device_time=1e-3 * frame.time, counts=dict(connection.counts))
 
     def feedback(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Show cameras and the state of the hands in the headset."""
@@ -91,7 +91,7 @@ class Quest(InputDevice):
         shown, self._shown, self.url, self.instructions = self._shown, None, "", ""
         if shown is not None:
             shown.must_end()
-        self._opened.close()
+        super().close()
         if shown is not None:
             shown.close()  # once nothing can be sent any more
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Motion, Opened, Reading
+from rcs.teleop.device import POLL, Button, Connected, HandReading, Motion, Reading
 from rcs.teleop.device_file import DeviceFile, line_of, one_of
 
 VENDORS = ("0000256F", "0000046D")
@@ -83,9 +83,10 @@ class KnobReports:
         ])  # fmt: skip
 
 
-class SpaceMouse(InputDevice):
+class SpaceMouse(Connected[DeviceFile]):
     """A SpaceMouse, connected by cable or wirelessly."""
 
+    what = "SpaceMouse"
     valid_for = 0.1
     has_takeover = False
     motion: Motion = ("twist", 6)
@@ -96,35 +97,30 @@ class SpaceMouse(InputDevice):
         Args:
             address: Path such as `/dev/hidraw3`; None for the only one.
         """
+        super().__init__()
         self._address = address
-        self._opened = Opened[DeviceFile]("SpaceMouse")
         self._reports = KnobReports()
 
-    def open(self) -> None:
+    def connect(self) -> DeviceFile:
         """Open its file; faults as in `InputDevice.open`."""
         path = self._address or one_of("SpaceMouse", find(), "Plug it in, or give the path of its file /dev/hidraw….")
         self._reports = KnobReports()
-        self._opened.put(DeviceFile(path, "SpaceMouse", MATCH))
+        return DeviceFile(path, "SpaceMouse", MATCH)
 
-    def read(self) -> Reading | None:
+    def measure(self, connection: DeviceFile) -> Reading | None:
         """Return a reading at each report, and while the knob is at rest; None if it is deflected and silent."""
         reports = self._reports
-        with self._opened as file:
-            report = file.read(POLL / 2)  # the kernel gives one report per read
-            is_new = bool(report) and reports.feed(report)
-            # A deflected knob reports without a pause, one at rest, which may be a little off zero, not at all.
-            if not is_new and reports.is_deflected:
-                return None
-            buttons: set[Button] = {meaning for bit, meaning in MEANINGS.items() if reports.keys >> bit & 1}
-            if reports.is_deflected:
-                buttons.add("clutch")
-            twist = reports.twist if is_new or reports.is_deflected else np.zeros(6)
-            hand = HandReading(twist=twist, buttons=frozenset(buttons))
-            return Reading(time=time.monotonic(), hands={"right": hand}, counts={"damaged": reports.damaged})
-
-    def close(self) -> None:
-        """Close its file."""
-        self._opened.close()
+        report = connection.read(POLL / 2)  # the kernel gives one report per read
+        is_new = bool(report) and reports.feed(report)
+        # A deflected knob reports without a pause, one at rest, which may be a little off zero, not at all.
+        if not is_new and reports.is_deflected:
+            return None
+        buttons: set[Button] = {meaning for bit, meaning in MEANINGS.items() if reports.keys >> bit & 1}
+        if reports.is_deflected:
+            buttons.add("clutch")
+        twist = reports.twist if is_new or reports.is_deflected else np.zeros(6)
+        hand = HandReading(twist=twist, buttons=frozenset(buttons))
+        return Reading(time=time.monotonic(), hands={"right": hand}, counts={"damaged": reports.damaged})
 
 
 def find() -> dict[str, str]:

@@ -19,7 +19,7 @@ from rcs.errors import DeviceFault, InvalidSetup
 from rcs.extras import package_of
 from rcs.spatial import matrix_to_tquat
 from rcs.teleop import credentials
-from rcs.teleop.device import POLL, Button, HandReading, InputDevice, Opened, Reading
+from rcs.teleop.device import POLL, Button, Connected, HandReading, Reading
 from rcs.teleop.headset_messages import from_headset
 from rcs.teleop.quest import address_of
 from rcs.teleop.vive_relay import (
@@ -48,59 +48,11 @@ STRAIGHT = 0.01
 """Largest deviation of a matrix from a rotation."""
 
 
-class Vive(InputDevice):
-    """Two wands, or one tracker as the right hand; a wand's grip is its clutch."""
-
-    valid_for = 0.08
-    hands = ("left", "right")
-    has_takeover = False
-
-    def __init__(self, address: str | None = None) -> None:
-        """Remember where SteamVR is.
-
-        Args:
-            address: `HOST:PORT` of this machine at which to await `vive_relay.py` on another one; None for SteamVR on
-                this machine.
-
-        Raises:
-            InvalidSetup: The address is none.
-        """
-        self._listens_at = None if address is None else address_of(address, PORT)
-        self._opened = Opened[_SteamVr | _Relay]("Vive")
-        self._presses: dict[int, Button] = {}
-
-    def open(self) -> None:
-        """Connect to SteamVR, or await the relay; faults as in `InputDevice.open`."""
-        self._presses.clear()
-        if self._listens_at is None:
-            self._opened.put(_SteamVr())
-            return
-        host, port = self._listens_at
-        code = credentials.code()
-        relay = _Relay(host, port, code)
-        self._opened.put(relay)
-        own = credentials.own_addresses()[0] if host == "0.0.0.0" else host
-        self.instructions = f"On the machine with SteamVR: python vive_relay.py {own}:{relay.port} {code}"
-
-    def read(self) -> Reading | None:
-        """Return what is tracked, 125 times a second at most; None while there is no news."""
-        with self._opened as source:
-            news = source.next()
-            if news is None:
-                return None
-            at, devices = news
-            return Reading(time=at, hands=hands_of(devices, self._presses), counts=dict(source.counts))
-
-    def close(self) -> None:
-        """Disconnect."""
-        self._opened.close()
-        self.instructions = ""
-
-
-class _SteamVr:
+class SteamVr:
     """SteamVR on this machine."""
 
     def __init__(self) -> None:
+        """Connect; faults as in `InputDevice.open`."""
         self.counts = Counter[str]()
         """Counts of what could not be used, by kind."""
         self._openvr: Any = package_of("vive", "openvr", "A Vive needs")
@@ -123,14 +75,17 @@ class _SteamVr:
         return time.monotonic(), tracked(self._system, self._openvr)
 
     def close(self) -> None:
+        """Disconnect."""
         self._openvr.shutdown()
 
 
-class _Relay:
+class Relay:
     """Packets of SteamVR on another machine."""
 
     def __init__(self, host: str, port: int, code: str) -> None:
+        """Listen at an address of this machine; faults as in `InputDevice.open`."""
         self.counts = Counter[str]()
+        """Counts of what could not be used, by kind."""
         self._code = code
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -172,6 +127,7 @@ class _Relay:
         return None
 
     def close(self) -> None:
+        """Close the socket."""
         self._socket.close()
 
     def _welcome(self, nonce: bytes, peer: Any) -> None:
@@ -184,6 +140,54 @@ class _Relay:
     def _send(self, packet: bytes, peer: Any) -> None:
         with contextlib.suppress(OSError):  # it greets again
             self._socket.sendto(packet, peer)
+
+
+class Vive(Connected[SteamVr | Relay]):
+    """Two wands, or one tracker as the right hand; a wand's grip is its clutch."""
+
+    what = "Vive"
+    valid_for = 0.08
+    hands = ("left", "right")
+    has_takeover = False
+
+    def __init__(self, address: str | None = None) -> None:
+        """Remember where SteamVR is.
+
+        Args:
+            address: `HOST:PORT` of this machine at which to await `vive_relay.py` on another one; None for SteamVR on
+                this machine.
+
+        Raises:
+            InvalidSetup: The address is none.
+        """
+        super().__init__()
+        self._listens_at = None if address is None else address_of(address, PORT)
+        self._presses: dict[int, Button] = {}
+
+    def connect(self) -> SteamVr | Relay:
+        """Connect to SteamVR, or await the relay; faults as in `InputDevice.open`."""
+        self._presses.clear()
+        if self._listens_at is None:
+            return SteamVr()
+        host, port = self._listens_at
+        code = credentials.code()
+        relay = Relay(host, port, code)
+        own = credentials.own_addresses()[0] if host == "0.0.0.0" else host
+        self.instructions = f"On the machine with SteamVR: python vive_relay.py {own}:{relay.port} {code}"
+        return relay
+
+    def measure(self, connection: SteamVr | Relay) -> Reading | None:
+        """Return what is tracked, 125 times a second at most; None while there is no news."""
+        news = connection.next()
+        if news is None:
+            return None
+        at, devices = news
+        return Reading(time=at, hands=hands_of(devices, self._presses), counts=dict(connection.counts))
+
+    def close(self) -> None:
+        """Disconnect."""
+        super().close()
+        self.instructions = ""
 
 
 def hands_of(devices: Sequence[Tracked], presses: dict[int, Button] | None = None) -> dict[str, HandReading]:
