@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Literal
 
 from rcs_data.options import NotNegative, Record, Whole
@@ -52,37 +52,11 @@ class Execution(Record):
     """Pause between an error and the next call of the policy [s], while the robot holds."""
 
 
-class PolicyCall:
-    """A call of the policy: its result counts after a latency of simulated time, or is computed by a thread."""
-
-    def __init__(self, compute: Callable[[], ChunkPlan], start: float) -> None:
-        """Prepare the call.
-
-        Args:
-            compute: Calls the policy.
-            start: When, in the time of the loop [s].
-        """
-        self._compute, self.start, self._begin = compute, start, time.perf_counter()
-        self.plan: ChunkPlan | None = None
-        """The result; None after an error."""
-        self.error: Exception | None = None
-        """The error, if there was one."""
-        self.seconds = 0.0
-        """Time from the question to the result by the wall clock [s]."""
-        self.is_done = threading.Event()
-
-    def run(self) -> None:
-        """Call the policy."""
-        try:
-            self.plan = self._compute()
-        except Exception as err:  # noqa: BLE001  whatever it is, the robot holds and the log says why
-            self.error = err
-        self.seconds = time.perf_counter() - self._begin
-        self.is_done.set()
-
-
 Question = Callable[[], Callable[[], ChunkPlan]]
 """Makes a call of the present observation."""
+
+Call = Future[tuple[ChunkPlan, float]]
+"""A call of the policy: its chunk, and how long it took by the wall clock [s]."""
 
 
 class Executor:
@@ -99,7 +73,7 @@ class Executor:
         """
         self._execution, self._period = execution, period
         self._valid_for = math.inf if execution.valid_for is None else execution.valid_for
-        self._thread = None if thread is None else BackgroundThread(thread, PolicyCall.run)
+        self._thread = None if thread is None else BackgroundThread[Callable[[], None]](thread, lambda run: run())
         self.error: Exception | None = None
         """The error because of which the robot holds."""
         self.chunks = 0
@@ -108,7 +82,7 @@ class Executor:
 
     def reset(self) -> None:
         """Begin an episode; the result of a call that is under way is dropped."""
-        self._call: PolicyCall | None = None
+        self._call: tuple[Call, float] | None = None  # and when it began, in the time of the loop [s]
         self._plans: list[ChunkPlan] = []  # from the oldest to the newest
         self._due = 0.0
         self.latency = float("nan")
@@ -165,29 +139,38 @@ class Executor:
 
     def _start(self, now: float, question: Question) -> None:
         """Call the policy, or have the thread call it."""
-        self._call = PolicyCall(question(), now)
+        call, compute, begin = Call(), question(), time.perf_counter()
+
+        def run() -> None:
+            try:
+                call.set_result((compute(), time.perf_counter() - begin))
+            except Exception as err:  # noqa: BLE001  whatever it is, the robot holds and the log says why
+                call.set_exception(err)
+
+        self._call = call, now
         if self._thread is None:
-            self._call.run()
+            run()
         else:
-            self._thread.put(self._call)
+            self._thread.put(run)
 
     def _take(self, now: float) -> None:
         """Take the result of the call, once it is there."""
-        call, latency = self._call, self._execution.latency
-        if call is None or not call.is_done.is_set():
+        if self._call is None:
             return
-        if self._thread is None and now < call.start + latency - NEAR:
+        (call, begin), latency = self._call, self._execution.latency
+        if not call.done() or (self._thread is None and now < begin + latency - NEAR):
             return
         self._call = None
-        if call.plan is None:
-            assert call.error is not None, "a call ends with a plan or an error"
-            self.fail(call.error, now)
+        if (error := call.exception()) is not None:
+            assert isinstance(error, Exception), "others are not caught"
+            self.fail(error, now)
             return
         if self.error is not None:
             _log.warning("The policy answers again after: %s", self.error)
             self.error = None
-        self.latency, self.seconds = latency if self._thread is None else call.seconds, call.seconds
-        self._change_over(call.plan, now)
+        plan, self.seconds = call.result()
+        self.latency = latency if self._thread is None else self.seconds
+        self._change_over(plan, now)
 
     def _change_over(self, new: ChunkPlan, now: float) -> None:
         """Execute a new chunk from now on."""
