@@ -16,9 +16,8 @@ import pytest
 from rcs.errors import DeviceFault, InvalidSetup, Refused
 from rcs.robots.fr3 import FR3
 from rcs.robots.so101 import SO101
-from rcs.teleop.calibrate_leader import calibrate_leader
 from rcs.teleop.gello import Answers, DynamixelBus, checksum, gello, packet
-from rcs.teleop.leader import LeaderCalibration
+from rcs.teleop.leader import LeaderCalibration, calibrate_leader
 from rcs.teleop.so101_leader import So101Bus, so101_leader, uncalibrated
 from tests.teleop.leaders import COUNTS, STEP, Bus, bus_of, calibrated, leader_at, saved
 

@@ -1,4 +1,3 @@
-from rcs.teleop.calibrate_leader import calibrate_leader as calibrate_leader
 from rcs.teleop.device import Button as Button
 from rcs.teleop.device import HandReading as HandReading
 from rcs.teleop.device import InputDevice as InputDevice
@@ -11,6 +10,7 @@ from rcs.teleop.hand import LeadOptions as LeadOptions
 from rcs.teleop.keyboard import Keyboard as Keyboard
 from rcs.teleop.leader import Leader as Leader
 from rcs.teleop.leader import LeaderCalibration as LeaderCalibration
+from rcs.teleop.leader import calibrate_leader as calibrate_leader
 from rcs.teleop.operator import Operator as Operator
 from rcs.teleop.pedal import Pedal as Pedal
 from rcs.teleop.quest import Quest as Quest

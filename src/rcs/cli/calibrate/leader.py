@@ -15,9 +15,8 @@ from rcs.devices import lookup
 from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription
 from rcs.rollout.person import read_line
-from rcs.teleop.calibrate_leader import calibrate_leader
 from rcs.teleop.gello import DynamixelBus
-from rcs.teleop.leader import LeaderBus, LeaderCalibration
+from rcs.teleop.leader import LeaderBus, LeaderCalibration, calibrate_leader
 from rcs.teleop.so101_leader import So101Bus, uncalibrated
 
 
