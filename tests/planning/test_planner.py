@@ -43,13 +43,6 @@ def test_the_same_seed_gives_the_same_path_and_another_one_another(planner: Plan
     assert first.shape != other.shape or not np.array_equal(first, other)
 
 
-def test_shortcuts_shorten_and_keep_the_ends() -> None:
-    planner = make_planner(time_limit=30.0)
-    long, short = (planner.plan(LEFT, RIGHT, seed=5, shortcut=is_short) for is_short in (False, True))
-    assert short.length < long.length
-    require_free(planner, short)
-
-
 def test_a_pose_is_reached_by_the_nearest_of_several_solutions(planner: Planner) -> None:
     assert planner.kinematics is not None
     pose = planner.kinematics.forward(RIGHT)

@@ -83,7 +83,7 @@ class Planner:
         if len(self.limits.velocity) != dof:
             raise InvalidSetup(f"There are limits for {len(self.limits.velocity)} joints, the checker has {dof}.")
 
-    def plan(self, start: ArrayLike, goal: ArrayLike | Pose, *, seed: int = 0, shortcut: bool = True) -> Path:
+    def plan(self, start: ArrayLike, goal: ArrayLike | Pose, *, seed: int = 0) -> Path:
         """Return a path that touches nothing.
 
         Args:
@@ -92,7 +92,6 @@ class Planner:
                 frame. A pose may have many solutions: those found that are free are all goals. Goals for which the
                 margin would have to be less than for others count where no path to these is found in half of the time.
             seed: Seed of everything random.
-            shortcut: Whether to shorten the path.
 
         Raises:
             PlanningFailed: The start or the goal collides, the pose is out of reach, or no path is found in time; its
@@ -111,9 +110,9 @@ class Planner:
         margin = max(min(self.margin, float(room[0]), best), 0.0)
         chosen = goals[room[1:] >= min(margin, best)]
         is_all = len(chosen) == len(goals)
-        rows = self._way(planner, first, chosen, margin, seed, shortcut, self.time_limit / (1 if is_all else 2))
+        rows = self._way(planner, first, chosen, margin, seed, self.time_limit / (1 if is_all else 2))
         if rows is None and not is_all:
-            rows = self._way(planner, first, goals, max(min(margin, least), 0.0), seed, shortcut, self.time_limit / 2)
+            rows = self._way(planner, first, goals, max(min(margin, least), 0.0), seed, self.time_limit / 2)
         if rows is None:
             raise PlanningFailed(
                 f"{self.planner} has found no path in {self.time_limit:g} s. Raise time_limit, lower margin "
@@ -122,16 +121,14 @@ class Planner:
             )
         return Path(rows)
 
-    def _way(
-        self, planner: Any, first: Rows, goals: Rows, margin: float, seed: int, shortcut: bool, time_limit: float
-    ) -> Rows | None:
+    def _way(self, planner: Any, first: Rows, goals: Rows, margin: float, seed: int, time_limit: float) -> Rows | None:
         """Return the straight way to the nearest goal that has one, or one that is found in time [s]; else None."""
         step = STEP if margin >= STEP / 2 else max(2.0 * margin, STEP / 5)
         hits = self.checker.first_hit_rows(np.broadcast_to(first, goals.shape), goals, step, TURN, margin)[0]
         direct = goals[np.isinf(hits)]
         if len(direct):
             return np.array([first, direct[np.argmin(np.linalg.norm(direct - first, axis=1))]])
-        return self._search(planner, first, goals, margin, step, seed, shortcut, time_limit)
+        return self._search(planner, first, goals, margin, step, seed, time_limit)
 
     def goals(self, pose: Pose, *, start: ArrayLike, seed: int = 0) -> Rows:
         """Return joints that reach a pose of the TCP in the base frame, nearest to the start first, (n, dof).
@@ -215,7 +212,6 @@ class Planner:
         margin: float,
         step: float,
         seed: int,
-        shortcut: bool,
         time_limit: float,
     ) -> Rows | None:
         """Run a planner of OMPL; None if it finds no way in time."""
@@ -271,11 +267,10 @@ class Planner:
         if not definition.hasExactSolution():
             return None
         path = definition.getSolutionPath()
-        if shortcut:
-            simplifier = _ompl("geometric").PathSimplifier(information)
-            simplifier.reduceVertices(path)
-            simplifier.partialShortcutPath(path, SHORTCUTS, SHORTCUTS, 1.0, SNAP)
-            simplifier.reduceVertices(path)
+        simplifier = _ompl("geometric").PathSimplifier(information)
+        simplifier.reduceVertices(path)
+        simplifier.partialShortcutPath(path, SHORTCUTS, SHORTCUTS, 1.0, SNAP)
+        simplifier.reduceVertices(path)
         return np.array([path.getState(i)[0:dof] for i in range(path.getStateCount())])
 
 
