@@ -69,7 +69,6 @@ def test_looking_changes_nothing_in_the_simulation(server: viser.ViserServer) ->
         for _ in range(20):
             env.step(env.action_space.sample())
             if scene is not None:
-                scene.has_contacts = True
                 scene.show()
         states.append(env.simulation.world.states())
         env.close()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.sim.browser_scene import colour_of, contact_arrows, shapes_of, soft_vertices
+from rcs.sim.browser_scene import colour_of, shapes_of, soft_vertices
 from rcs.spatial import compose, tquat_to_matrix, wxyz_to_xyzw
 
 PRIMITIVES = """
@@ -144,17 +144,3 @@ def test_a_soft_body_is_its_outer_surface_where_its_vertices_are() -> None:
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
     assert abs(volume(vertices, faces)) > 1e-5
     env.close()
-
-
-def test_arrows_of_contacts_carry_what_lies_on_the_table() -> None:
-    model = mujoco.MjModel.from_xml_string(
-        """<mujoco><worldbody><geom type="plane" size="1 1 .1"/>
-        <body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1" mass="2"/></body></worldbody></mujoco>"""
-    )
-    data = mujoco.MjData(model)
-    for _ in range(500):
-        mujoco.mj_step(model, data)
-    arrows = contact_arrows(model, data, 0.01)
-    assert arrows.shape == (data.ncon, 2, 3)
-    np.testing.assert_allclose(arrows[:, 0, 2], 0.0, atol=1e-3)
-    np.testing.assert_allclose((arrows[:, 1] - arrows[:, 0]).sum(axis=0), [0, 0, 0.01 * 2 * 9.81], atol=1e-3)

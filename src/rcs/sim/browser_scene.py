@@ -27,9 +27,6 @@ MIDDLE = (0.55, 0.15, 0.30)
 DISTANCE = 2.4
 """Distance of the page's camera from it, in parts of the reach."""
 
-NEWTON_LENGTH = 0.01
-"""Length of an arrow per newton of contact force [m/N]."""
-
 FIELD_OF_VIEW = 38.0
 """Vertical angle of view of a page at first [degrees]."""
 
@@ -111,12 +108,9 @@ class BrowserScene:
         self._shown: dict[str, tuple[Shape, Any]] = {}
         self._poses: NDArray[np.float64] = np.full((world.model.nbody, 7), np.inf)
         self._soft: dict[int, NDArray[np.float32]] = {}
-        self._arrows: Any = None
         self._root = f"/{name}"
         self._tint = None if tint is None else np.array(tint, np.float64)
         server.scene.add_frame(self._root, show_axes=False, position=np.array(place, np.float64))
-        self.has_contacts = False
-        """Show contact forces."""
         self._look_at(robots)
         self.rebuild()
 
@@ -153,7 +147,6 @@ class BrowserScene:
                     vertices = soft_vertices(self._model, data, shape.flex)
                     if shape.flex not in self._soft or np.abs(vertices - self._soft[shape.flex]).max() > MOVED:
                         handle.vertices = self._soft[shape.flex] = vertices
-            self._show_contacts()
         self._poses[moved] = poses[moved]
 
     def _look(self) -> None:
@@ -201,20 +194,6 @@ class BrowserScene:
         if self._tint is None or shape.body == 0:
             return colour
         return (1 - TINTED) * colour + TINTED * self._tint
-
-    def _show_contacts(self) -> None:
-        """Show the forces of all contacts as arrows, or none."""
-        arrows = contact_arrows(self._model, self._data, NEWTON_LENGTH) if self.has_contacts else np.zeros((0, 2, 3))
-        if len(arrows) == 0:
-            if self._arrows is not None:
-                self._arrows.visible = False
-            return
-        if self._arrows is None:
-            self._arrows = self._server.scene.add_arrows(
-                f"{self._root}/contacts", arrows, (230, 60, 60), shaft_radius=0.002, head_radius=0.005, head_length=0.01
-            )
-        else:
-            self._arrows.points, self._arrows.visible = arrows.astype(np.float32), True
 
 
 def _node(name: str) -> str:
@@ -272,25 +251,6 @@ def soft_vertices(model: mujoco.MjModel, data: mujoco.MjData, flex: int) -> NDAr
     """Return where the vertices of a soft body are in the world now, (n, 3) [m]."""
     first, count = int(model.flex_vertadr[flex]), int(model.flex_vertnum[flex])
     return data.flexvert_xpos[first : first + count].astype(np.float32)
-
-
-def contact_arrows(model: mujoco.MjModel, data: mujoco.MjData, metres_per_newton: float) -> NDArray[np.float32]:
-    """Return the force of every contact as an arrow from its point, (contacts, 2, 3) [m] in the world.
-
-    Args:
-        model: The model.
-        data: Its state, after a step.
-        metres_per_newton: Length of an arrow per force [m/N].
-    """
-    arrows = np.zeros((data.ncon, 2, 3), np.float32)
-    wrench = np.zeros(6)
-    for i in range(data.ncon):
-        contact = data.contact[i]
-        mujoco.mj_contactForce(model, data, i, wrench)
-        # Rows of a contact's frame are its axes, the first is the normal (MuJoCo documentation, mjContact).
-        force = contact.frame.reshape(3, 3).T @ wrench[:3]
-        arrows[i] = contact.pos, contact.pos + metres_per_newton * force
-    return arrows
 
 
 def colour_of(model: mujoco.MjModel, own: NDArray[np.float32], material: int) -> tuple[float, float, float, float]:

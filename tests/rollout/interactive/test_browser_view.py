@@ -154,15 +154,6 @@ def test_an_error_of_a_request_is_shown_and_the_session_goes_on(view: BrowserVie
     assert view.session.steps > steps
 
 
-def test_contact_forces_are_shown_when_wanted(view: BrowserView) -> None:
-    give(view, "Contact forces", True)
-    for _ in range(10):
-        view.update()
-    assert server_of(view).scene.get_handle_by_name("/scene/contacts").visible
-    give(view, "Contact forces", False)
-    assert not server_of(view).scene.get_handle_by_name("/scene/contacts").visible
-
-
 def test_the_page_is_served_here_alone_and_opens_no_tunnel(view: BrowserView) -> None:
     assert view.url.startswith("http://localhost:")
     with urllib.request.urlopen(view.url, timeout=10) as page:

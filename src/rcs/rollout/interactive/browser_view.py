@@ -131,7 +131,7 @@ class BrowserView(Page):
         link = self._link = PageLink(lambda page: self.submit(_nothing, page))
         self._routes[PATH] = link.port
         self._scene = BrowserScene(server, self.session.world, list(self.session.env.robots.values()))
-        self._panel = Panel(server, self.session, self._scene, self._ask, Keyboard(keys=PageKeys(link)))
+        self._panel = Panel(server, self.session, self._ask, Keyboard(keys=PageKeys(link)))
 
         @server.on_client_connect
         async def _(client: viser.ClientHandle) -> None:

@@ -13,7 +13,6 @@ from rcs.agents import Event
 from rcs.agents.guide import Guide
 from rcs.rollout.interactive.page import as_line
 from rcs.rollout.interactive.session import Session
-from rcs.sim.browser_scene import BrowserScene
 from rcs.spatial import wxyz_to_xyzw, xyzw_to_wxyz
 from rcs.teleop import Keyboard
 from rcs.teleop.takeover import people_of
@@ -51,19 +50,16 @@ Submit = Callable[[Callable[[], None], int | None], None]
 class Panel:
     """Controls of one session on all pages of a server."""
 
-    def __init__(
-        self, server: viser.ViserServer, session: Session, scene: BrowserScene, submit: Submit, keys: Keyboard
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, session: Session, submit: Submit, keys: Keyboard) -> None:
         """Put the controls on the page.
 
         Args:
             server: The server of the pages.
             session: The session to control.
-            scene: Its scene on the same pages.
             submit: Lets the thread of the session handle a request.
             keys: The keys of the page that leads.
         """
-        self._server, self._session, self._scene, self._submit, self._keys = server, session, scene, submit, keys
+        self._server, self._session, self._submit, self._keys = server, session, submit, keys
         self._message, self._robot = "", NOBODY
         self._acts: Any = None
         self._next_text = self._next_frame = 0.0
@@ -208,9 +204,7 @@ class Panel:
         gui = self._server.gui
         with gui.add_folder("View", expand_by_default=False):
             targets = gui.add_checkbox("Targets to drag", initial_value=True)
-            contacts = gui.add_checkbox("Contact forces", initial_value=False, hint="1 cm per newton")
         _on_value(targets, self._of_any, self._show_targets)
-        _on_value(contacts, self._of_any, lambda is_on: setattr(self._scene, "has_contacts", is_on))
 
     # --- Requests of pages, handled by the thread of the session ------------------------------------------------------
 
