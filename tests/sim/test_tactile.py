@@ -287,28 +287,6 @@ def test_a_ball_that_grows_is_felt_as_it_is(world: World, sensor: SimTactile) ->
     assert large.max() == pytest.approx(float(small.max()) + 0.0005, abs=1e-5)
 
 
-def test_noise_is_of_the_sensors_size_and_the_same_for_the_same_seed(
-    world: World, background: NDArray[np.uint8]
-) -> None:
-    put(world, [1.0, 0.0, 0.0])
-    first, same, other = (
-        SimTactile(world, TOUCH, indentation="geometry", noise_seed=seed).read()["rgb"] for seed in (1, 1, 2)
-    )
-    np.testing.assert_array_equal(first, same)
-    assert (first != other).any()
-    assert (first.astype(int) - background).std() == pytest.approx(DIGIT.noise_std, rel=0.05)
-
-
-def test_a_background_of_ones_own_is_kept(world: World) -> None:
-    own = np.random.default_rng(0).integers(80, 120, (240, 320, 3), np.uint8)
-    sensor = SimTactile(world, TOUCH, indentation="geometry", background=own)
-    np.testing.assert_array_equal(sensor.read()["rgb"], own)
-    frame = press_ball(sensor, world, 0.008, 0.001)["rgb"]
-    assert (frame[0, 0] == own[0, 0]).all() and (frame != own).any()
-    with pytest.raises(InvalidSetup, match="background"):
-        SimTactile(world, TOUCH, background=own[:100])
-
-
 def test_reading_changes_no_state(world: World, sensor: SimTactile) -> None:
     put(world, [TIP + 0.007, 0.0, MIDDLE])
     before = world.core.get_state(0)

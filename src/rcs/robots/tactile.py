@@ -57,8 +57,6 @@ class TactileDescription(Description):
     """Contact forces from the first trace in the image to the deepest [N]."""
     max_indentation: Positive
     """Indentation of the gel at the largest force [m]."""
-    noise_std: NotNegative
-    """Standard deviation of the image's noise [of 255]."""
 
     @property
     def frame_size(self) -> tuple[int, int]:
@@ -96,7 +94,7 @@ DIGIT: Final = TactileDescription(
     mjcf_file="digit.xml",
     base_body="digit",
     gel_geom="gel",
-    # tacto config_digit.yml: gel, camera, lights, noise, force.
+    # tacto config_digit.yml: gel, camera, lights, force.
     gel_center=(0.022, 0.0, 0.015),
     gel_width=0.02,
     gel_height=0.03,
@@ -111,9 +109,8 @@ DIGIT: Final = TactileDescription(
     lights=(_light(30.0, (1.0, 0.0, 0.0)), _light(150.0, (0.0, 1.0, 0.0)), _light(270.0, (0.0, 0.0, 1.0))),
     force_range=(0.0, 100.0),
     max_indentation=0.005,
-    noise_std=7.0,
     sources=(
-        "tacto config_digit.yml (MIT): gel, camera, lights, noise, force and indentation",
+        "tacto config_digit.yml (MIT): gel, camera, lights, force and indentation",
         "digit-interface: formats and rates of the stream",
         "Lambeta et al. 2020, DIGIT: a sensor weighs 20 g",
         "mujoco_menagerie ufactory_xarm7 hand (BSD-3-Clause): friction and stiffness, those of pads",

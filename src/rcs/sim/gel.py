@@ -12,7 +12,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.errors import InvalidSetup
 from rcs.robots.tactile import TactileDescription
 
 Image = NDArray[np.float32]
@@ -166,26 +165,18 @@ def _blur_rows(image: Image, sigma: float, finer: int) -> Image:
 class GelLight:
     """Lambert's law for the sensor's lights, which fall off with the square of the distance.
 
-    Only the change from the gel at rest is computed and added to the background. So a real sensor's background frame
-    can be used, and pixels without contact keep every bit.
+    Only the change from the gel at rest is computed and added to the background, so pixels without contact keep every
+    bit.
     """
 
-    def __init__(self, sensor: TactileDescription, gel: Gel, background: GelImage | None = None) -> None:
+    def __init__(self, sensor: TactileDescription, gel: Gel) -> None:
         """Light the gel at rest.
 
         Args:
             sensor: Has the lights.
             gel: The gel that they light.
-            background: A frame without contact, (height, width, 3); None to compute it from the lights.
-
-        Raises:
-            InvalidSetup: The background has the wrong shape or dtype.
         """
         width, height = gel.size
-        if background is not None and (background.shape != (height, width, 3) or background.dtype != np.uint8):
-            raise InvalidSetup(
-                f"The background is {background.dtype} {background.shape}; valid is uint8 ({height}, {width}, 3)."
-            )
         camera = np.array(sensor.camera_position)
         self._places = (np.array([light.position for light in sensor.lights]) - camera).astype(np.float32)
         middle = np.array([gel.rest[height // 2, width // 2], 0.0, 0.0])
@@ -195,9 +186,7 @@ class GelLight:
         self._gel = gel
         self._slope_y, self._slope_z = (slope.astype(np.float32) for slope in gel.slopes)
         self._at_rest = self._light(gel.rest, slice(0, height), slice(0, width))
-        if background is None:
-            background = np.clip(255.0 * AMBIENT + self._at_rest + 0.5, 0.0, 255.0).astype(np.uint8)
-        self.background: GelImage = background.copy()
+        self.background: GelImage = np.clip(255.0 * AMBIENT + self._at_rest + 0.5, 0.0, 255.0).astype(np.uint8)
         """The frame without contact, (height, width, 3)."""
 
     def draw(self, displacement: Image) -> GelImage:

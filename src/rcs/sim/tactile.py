@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs.errors import InvalidSetup
-from rcs.sim.gel import Gel, GelImage, GelLight
+from rcs.sim.gel import Gel, GelLight
 from rcs.sim.tactile_mounts import UNFELT_GROUP, TactilePlacement
 from rcs.sim.world import World
 
@@ -44,8 +44,6 @@ class SimTactile:
         *,
         indentation: Indentation = "force",
         look: TactileLook = "rcs",
-        background: GelImage | None = None,
-        noise_seed: int | None = None,
     ) -> None:
         """Look the sensor up in a world, and register the force on its gel for readout.
 
@@ -54,9 +52,6 @@ class SimTactile:
             placement: A sensor of its scene.
             indentation: Source of the indentation.
             look: The renderer of frames.
-            background: A frame without contact, (height, width, 3), such as one from a real sensor; None to compute it
-                from the lights. Tacto has its own.
-            noise_seed: Seed of the noise of the sensor's pixels; None for frames without noise.
 
         Raises:
             InvalidSetup: The sensor is not in the world, or an option is not valid.
@@ -67,8 +62,6 @@ class SimTactile:
                 f"indentation={indentation!r}, look={look!r}; valid: {get_args(Indentation)} and "
                 f"{get_args(TactileLook)}."
             )
-        if look == "tacto" and background is not None:
-            raise InvalidSetup("Tacto has its own background; leave background out, or use look='rcs'.")
         self.placement = placement
         self.gel = Gel(placement.sensor)
         self._world = world
@@ -78,8 +71,7 @@ class SimTactile:
 
             self._renderer = Tacto(placement.sensor, self.gel)
         else:
-            self._renderer = GelLight(placement.sensor, self.gel, background)
-        self._noise = None if noise_seed is None else np.random.default_rng(noise_seed)
+            self._renderer = GelLight(placement.sensor, self.gel)
         model = world.model
         try:
             self._body: int = model.body(placement.body_name).id
@@ -121,7 +113,7 @@ class SimTactile:
         normal = self.force if forces is None else np.broadcast_to(np.asarray(forces, np.float64), leading)
         for copy in np.ndindex(leading):
             indentation[copy] = self._feel(copy, float(normal[copy]))
-            rgb[copy] = self._with_noise(self._renderer.draw(indentation[copy]))
+            rgb[copy] = self._renderer.draw(indentation[copy])
         return {"rgb": rgb, "indentation": indentation}
 
     def _present(self, copy: tuple[int, ...]) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -209,13 +201,6 @@ class SimTactile:
         mujoco.mj_multiRay(model, data, eye, directions, self._groups, 1, self._body, geoms, depth, None, count, reach)
         depth[(depth < 0.0) | (depth > farthest)] = np.inf
         return depth.reshape(rays.shape[:2])
-
-    def _with_noise(self, frame: GelImage) -> GelImage:
-        if self._noise is None:
-            return frame
-        noise = self._noise.standard_normal(frame.shape, np.float32)
-        noise *= self.placement.sensor.noise_std
-        return np.clip(np.rint(frame + noise), 0.0, 255.0).astype(np.uint8)
 
     def close(self) -> None:
         """Free the renderer. Closing twice is harmless; reading again makes a new one."""
