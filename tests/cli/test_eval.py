@@ -7,15 +7,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rcs_data.ledger import Ledger
 
-from rcs.rollout.evaluation import Evaluation
-from tests.rollout.staying import SETUP, Stay
+from tests.rollout.staying import Stay
 
 RCS = [sys.executable, "-c", "from rcs.cli.main import main; main()"]
 
@@ -122,8 +120,6 @@ def test_an_agent_is_compared_with_itself_under_another_condition(call_unwrapped
         (["PickCuboid", "--until", "0.05"], ["until, against and out belong together"]),
         (["PickCuboid", "--until", "0.05", "--against", "idle"], ["no ledger", "nothing to decide against"]),
         (["Free"], ["no scripted expert"]),
-        (["PickCuboid", "--mapping", "m.json"], ["mapping is of a simulator", "give simulator, too"]),
-        (["PickCuboid", "--simulator-python", "p", "--simulator-options", "a=1"], ["simulator_python, simulator_opt"]),
         (["PickCuboid", "--task-options", "placed_by=robot"], ["only a collection does", "placed_by='reset'"]),
     ],
 )
@@ -136,23 +132,6 @@ def test_bad_arguments_get_a_clear_error_and_leave_nothing(
     for word in words:
         assert word in told.replace("\n", " ")
     assert not (tmp_path / "e").exists()
-
-
-@pytest.mark.parametrize(("more", "workers"), [((), 1), (("--ray", "auto"), 0), (("--workers", "3"), 3)])
-def test_a_simulator_has_one_process_here_and_one_per_cpu_of_a_cluster(
-    call: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: tuple[str, ...], workers: int
-) -> None:
-    made: list[Evaluation] = []
-
-    def attempts_of(evaluation: Evaluation, *_: Any) -> tuple[Iterator[Any], int]:
-        made.append(evaluation)
-        return iter(()), 1
-
-    monkeypatch.setattr("rcs.cli.eval.attempts_of", attempts_of)
-    monkeypatch.setattr("rcs.cli.eval.setup_of_simulator", lambda _: SETUP)
-    code, told = call("eval", "--simulator", "libero:any/0", "--agent", "PickExpert", *more, "--out", tmp_path)
-    assert code == 0, told
-    assert [one.workers for one in made] == [workers]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")

@@ -180,16 +180,12 @@ def test_a_policy_is_run_in_the_simulator_of_another_project(
         episodes = Dataset.open(tmp_path / "data").episodes
         assert [(one.success, one.outcome["failure"]) for one in episodes] == [(False, "timeout")] * 2
         assert [bool(flag) for flag in episodes[0].column("truncated")] == [False] * 60 + [True]
-        own = ["eval", "--agent", str(server.address), "--episodes", "2", *command[5:], "--out", str(out)]
-        assert rcs(*own, "--simulator-options", "fault=none") == 0
-        assert len(Ledger(out).rows) == 4, "`rcs eval` has the same key"
-        assert rcs(*own, "--robot", "so101") == 1
-        assert "robot cannot be combined with simulator" in capsys.readouterr().err
-        assert rcs("eval", *command[5:]) == 1
-        assert "name who acts with --agent" in capsys.readouterr().err
-        assert rcs("eval", "--episodes", "1") == 1
-        assert "Give a task" in capsys.readouterr().err
         assert rcs(*command, "--out", str(out), "--robot", "so101", "--real-time") == 1
         assert "robot, real_time cannot be combined with simulator" in capsys.readouterr().err
         assert rcs(*command, "--out", str(out), "--task", "Push") == 1
         assert "task cannot be combined with simulator" in capsys.readouterr().err
+        alone = ["run", "--policy", str(server.address), "--out", str(out)]
+        assert rcs(*alone, "--mapping", "m.json") == 1
+        assert "mapping is of a simulator of another project, and none is named" in capsys.readouterr().err
+        assert rcs(*alone, "--simulator-python", "p", "--simulator-options", "a=1") == 1
+        assert "simulator_python, simulator_options is of a simulator" in capsys.readouterr().err

@@ -304,11 +304,6 @@ def test_the_token_of_the_environment_is_sent_and_another_one_is_an_error_at_onc
         server.end()
 
 
-def test_a_certificate_is_for_addresses_with_tls() -> None:
-    with pytest.raises(InvalidSetup, match="has no TLS; leave out the certificate"):
-        ForeignEnv(ForeignSimulator(name="vla://127.0.0.1:9", certificate=Path("own.pem")))
-
-
 def test_a_simulator_of_which_no_environment_can_be_made_is_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, processes_with: Callable[[str], list[str]]
 ) -> None:

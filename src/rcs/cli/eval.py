@@ -12,10 +12,7 @@ from rcs_data.cli.program import INTERRUPTED
 
 from rcs.cli.runs import LedgerOptions, PoolOptions, attempts_of, interruptible, print_results, show
 from rcs.cli.setup_options import SetupOptions
-from rcs.cli.simulator_options import SimulatorOptions
-from rcs.errors import InvalidSetup
 from rcs.rollout.evaluation import Evaluation, Summary
-from rcs.rollout.foreign import setup_of_simulator
 
 
 @dataclass(kw_only=True)
@@ -28,31 +25,19 @@ class EvalCommand(SetupOptions):
     once.
     """
 
-    task: tyro.conf.Positional[str] = ""  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
-    """Name of the task, such as PickCuboid, or `module:Class`; or the path of a checkpoint, or of a run, for the
-    environment that it was trained in. None with `--simulator`."""
     episodes: int = 50
     """Number of episodes."""
-    simulation: Annotated[SimulatorOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=SimulatorOptions)
     pool: Annotated[PoolOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=PoolOptions)
     ledger: Annotated[LedgerOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=LedgerOptions)
 
     def run(self) -> int:
         """Evaluate, print the results and return the exit code."""
-        simulator = self.simulation.foreign([*self.given, *["task"] * bool(self.task)])
-        if simulator is not None and self.agent is None:
-            raise InvalidSetup("A simulator of another project has no expert: name who acts with --agent.")
-        if simulator is None and not self.task:
-            raise InvalidSetup("Give a task, such as `rcs eval PickCuboid`, a checkpoint, or a --simulator.")
-        is_single = simulator is not None and self.pool.workers == 0 and self.pool.ray is None
-        workers = 1 if is_single else self.pool.processes(self.episodes)
         evaluation = Evaluation(
-            setup=self.setup() if simulator is None else setup_of_simulator(simulator),
-            simulator=simulator,
+            setup=self.setup(),
             agent=self.actor,
             episodes=self.episodes,
             seed=self.seed,
-            workers=workers,
+            workers=self.pool.processes(self.episodes),
             ray=self.pool.ray,
             **self.ledger.checked(),
         )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,7 +20,6 @@ from rich.console import Console
 from rcs.agents.identity import identity_of
 from rcs.cli.runs import LedgerOptions, interruptible, print_results, show
 from rcs.cli.setup_options import SetupOptions
-from rcs.cli.simulator_options import SimulatorOptions
 from rcs.envs.env import Env
 from rcs.envs.observers.dataset_info import dataset_info
 from rcs.envs.observers.record import recorder_of
@@ -32,7 +31,7 @@ from rcs.rollout.blind import evaluate_blind
 from rcs.rollout.collection import Attempt
 from rcs.rollout.evaluate import evaluate
 from rcs.rollout.evaluation import Evaluation, Summary
-from rcs.rollout.foreign import ForeignEnv
+from rcs.rollout.foreign import ForeignEnv, ForeignSimulator
 from rcs.rollout.interactive.judge_page import JudgePage
 from rcs.rollout.outlines import Outlines
 from rcs.rollout.person import Asker, PersonJudge, ask_at_terminal
@@ -43,6 +42,49 @@ if TYPE_CHECKING:
     from vlagents import Metadata
 
 _WORDS = {True: "done", False: "not done", None: "not known"}
+
+
+@dataclass(kw_only=True)
+class SimulatorOptions:
+    """A simulator of another project."""
+
+    simulator: str | None = None
+    """Simulator of another project, in place of the one here: `SIMULATOR:TASK`, such as `libero:libero_spatial/0`,
+    `maniskill:PickCube-v1` or `metaworld:pick-place-v3`, which is started, or the address of `vlagents simulate`. The
+    environment variable `VLAGENTS_TOKEN` has the token."""
+    simulator_python: Path | None = None
+    """Python of the simulator's environment; by default the one that `make sims` has made."""
+    simulator_options: tuple[str, ...] = ()
+    """Options of the simulator as NAME=VALUE, such as `size=256`."""
+    mapping: Path | None = None
+    """JSON file with the mapping between simulator and policy, in place of the simulator's own."""
+
+    def foreign(self, excluded: Sequence[str]) -> ForeignSimulator | None:
+        """Return the simulator; None for the one here.
+
+        Args:
+            excluded: Names of options that were given, and make no sense with it.
+
+        Raises:
+            InvalidSetup: There are such, an option is not written as one, or there is no simulator that it is for.
+        """
+        if self.simulator is None:
+            if given := [own.name for own in fields(self) if getattr(self, own.name)]:
+                raise InvalidSetup(
+                    f"{', '.join(given)} is of a simulator of another project, and none is named; give simulator, too."
+                )
+            return None
+        if excluded:
+            raise InvalidSetup(
+                f"{', '.join(excluded)} cannot be combined with simulator: that of another project has its own setup, "
+                "of which the mapping decides what there is to decide."
+            )
+        if words := [word for word in self.simulator_options if "=" not in word]:
+            raise InvalidSetup(f"simulator_options has {words[0]!r}; valid is NAME=VALUE, such as size=256.")
+        options = dict(word.split("=", 1) for word in self.simulator_options)
+        return ForeignSimulator(
+            name=self.simulator, python=self.simulator_python, options=options, mapping=self.mapping
+        )
 
 
 @dataclass(kw_only=True)

@@ -75,8 +75,7 @@ class LedgerOptions(Ledgered):
 
 def attempts_of(evaluation: Evaluation, summary: Summary, pool: PoolOptions) -> tuple[Iterator[Attempt], int | str]:
     """Return the attempts of an evaluation, and who makes them."""
-    is_trained = is_path(evaluation.agent) and evaluation.simulator is None
-    if pool.workers == 0 and pool.ray is None and is_trained and not evaluation.setup.cameras:
+    if pool.workers == 0 and pool.ray is None and is_path(evaluation.agent) and not evaluation.setup.cameras:
         # Processes would each load torch; with cameras they are faster, for each draws and sees by itself.
         from rcs.rl.evaluate import COPIES, evaluate_in_batch
 

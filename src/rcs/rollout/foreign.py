@@ -10,7 +10,6 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -39,6 +38,8 @@ if TYPE_CHECKING:
 
 ENVIRONMENTS = Path("build/interop")
 """Where `make sims` makes an environment for each simulator."""
+STARTUP = 300.0
+"""Longest duration until a simulator listens [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,29 +56,19 @@ class ForeignSimulator:
     """JSON file with a `SimulatorMapping`; None for the simulator's own."""
     timeout: float = 120.0
     """Longest duration of a reset or a step [s]; the episode then ends without a verdict."""
-    startup: float = 300.0
-    """Longest duration until the simulator listens [s]."""
     log: Path | None = None
     """File to which everything is appended that the simulator prints; None for a new temporary one."""
-    certificate: Path | None = None
-    """File with the certificate that the server's must be signed by, at an address `vlas://`."""
 
     def __post_init__(self) -> None:
         """Check the options.
 
         Raises:
-            InvalidSetup: The simulator runs already, so that nobody would read its options or its Python; or it is
-                started here, so that there is no certificate.
+            InvalidSetup: The simulator runs already, so that nobody would read its options or its Python.
         """
         if self.is_address and (self.options or self.python is not None):
             raise InvalidSetup(
                 f"The simulator at {self.name} runs already. Give its options to `vlagents simulate`, and leave out "
                 "simulator_options and simulator_python."
-            )
-        if self.certificate is not None and not self.is_address:
-            raise InvalidSetup(
-                f"The simulator {self.name!r} is started here, without TLS; leave out simulator_certificate, which is "
-                "for one at vlas://."
             )
 
     @property
@@ -209,7 +200,7 @@ class Connection:
                 self._client = self._connected(simulator.name)
             else:
                 self._process = process = simulator.start()
-                self._client = process.wait(lambda: self._connected(process.address), simulator.startup)
+                self._client = process.wait(lambda: self._connected(process.address), STARTUP)
         except BaseException:
             self.close(must_end=True)
             raise
@@ -219,13 +210,8 @@ class Connection:
         """Return a client; the token is that of the environment variable `VLAGENTS_TOKEN`, as of a policy."""
         v, module = vlagents(), vlagents("vlagents.simulators.client")
         try:
-            return module.SimulatorClient(
-                address,
-                self._mapping,
-                token=os.environ.get(TOKEN),
-                timeout=self._simulator.timeout,
-                certificate=self._simulator.certificate,
-            )
+            token, timeout = os.environ.get(TOKEN), self._simulator.timeout
+            return module.SimulatorClient(address, self._mapping, token=token, timeout=timeout)
         except v.InvalidInput as err:
             raise InvalidSetup(str(err)) from err
         except (v.VlagentsError, OSError) as err:
@@ -367,12 +353,6 @@ class ForeignEnv(Env):
         self._is_closed = True
         super().close()
         self._connection.close()
-
-
-def setup_of_simulator(simulator: ForeignSimulator) -> Setup:
-    """Return the setup of a simulator, which is started for a moment; raises as `ForeignEnv`."""
-    with closing(ForeignEnv(simulator)) as env:
-        return env.setup
 
 
 def _setup(connection: Connection, simulator: ForeignSimulator) -> Setup:
