@@ -82,10 +82,7 @@ class PickPlanner(PickExpert):
         if len(env.robots) != 1:
             raise InvalidSetup(f"PickPlanner moves one robot, there are {len(env.robots)}: {', '.join(env.robots)}.")
         super().__init__(env)
-        self._planner = planner_for(env, margin=MARGINS[0], time_limit=TIME_LIMIT, speed=SPEED)
-        # The cuboid touches the table when it is lifted.
-        self._carrying = planner_for(env)
-        self._carrying.checker.allow(CUBOID, TABLE)
+        self._env = env
         # Without a pull to other joints: the straight lines are checked for those that lead the TCP there directly.
         arm = self.arms[0]
         arm.writer = ActionWriter(env.setup, env.action_space, arm.kinematics)  # pyright: ignore[reportArgumentType]
@@ -94,7 +91,10 @@ class PickPlanner(PickExpert):
 
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan a grasp, and the way to it from where the arm is."""
-        self._planner.look()
+        # Made anew for each episode, since sizes may vary.
+        self._planner = planner_for(self._env, margin=MARGINS[0], time_limit=TIME_LIMIT, speed=SPEED)
+        self._carrying = planner_for(self._env)
+        self._carrying.checker.allow(CUBOID, TABLE)  # it touches the table when it is lifted
         checker, kinematics = self._planner.checker, arm.kinematics
         start = np.clip(arm.observation[JOINTS], checker.joint_lower, checker.joint_upper)
         key = np.concatenate([np.round(self.info["cuboid"], 6), np.round(start, 6)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import copy as copied
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from rcs._core import CollisionChecker
 from rcs.envs.env import Env
 from rcs.envs.gates.guarded_scene import GEOMETRY
-from rcs.errors import InvalidSetup, UnknownName
+from rcs.errors import InvalidSetup, UnknownName, WrongOrder
 from rcs.kinematics import kinematics_of
 from rcs.planning.path import JointLimits
 from rcs.planning.planner import Planner
@@ -21,57 +20,6 @@ from rcs.sim.robot import RobotLayout
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.world import World
 from rcs.spatial import Pose, wxyz_to_xyzw
-
-
-class SceneChecker(CollisionChecker):
-    """A checker whose place another one can take when shapes have changed."""
-
-    def __init__(self, model: mujoco.MjModel, joints: Sequence[int]) -> None:
-        """Copy the model.
-
-        Args:
-            model: The scene, with its present shapes.
-            joints: Ids of the robot's joints.
-        """
-        super().__init__(model, [joints])
-        self._state: tuple[NDArray[np.float64], ...] = (np.array(model.qpos0),)
-        self._allowed: list[tuple[str, str]] = []
-        self._attached: dict[int, tuple[int, Pose | None, tuple[NDArray[np.float64], ...]]] = {}
-        """Attached bodies by id: the body that each is attached to, where, and the state in which it was."""
-
-    def take_over(self, other: SceneChecker) -> None:
-        """Let what may touch there touch here, and attach what is attached there."""
-        for a, b in other._allowed:
-            self.allow(a, b)
-        for body, (to, pose, state) in other._attached.items():
-            self.set_state(*state)
-            self.attach(body, to, pose)
-
-    def set_state(
-        self,
-        qpos: NDArray[np.float64],
-        mocap_pos: NDArray[np.float64] | None = None,
-        mocap_quat: NDArray[np.float64] | None = None,
-    ) -> None:
-        """Say where everything else is, as `CollisionChecker.set_state` does."""
-        super().set_state(qpos, mocap_pos, mocap_quat)
-        self._state = tuple(np.array(part) for part in (qpos, mocap_pos, mocap_quat) if part is not None)
-
-    def allow(self, a: str, b: str) -> int:
-        """Let two things touch, as `CollisionChecker.allow` does."""
-        dropped = super().allow(a, b)
-        self._allowed.append((a, b))
-        return dropped
-
-    def attach(self, body: int, to: int, pose_in_to: Pose | None = None) -> None:
-        """Let a body move with another one, as `CollisionChecker.attach` does."""
-        super().attach(body, to, pose_in_to)
-        self._attached[body] = to, pose_in_to, self._state
-
-    def detach(self, body: int) -> None:
-        """Leave an attached body where the state has it."""
-        super().detach(body)
-        del self._attached[body]
 
 
 class ScenePlanner(Planner):
@@ -92,9 +40,8 @@ class ScenePlanner(Planner):
         self._world, self._copy = world, copy
         self._layout = RobotLayout.of(placement, world.model)
         self._shapes = self._present_shapes()
-        self._own = self._make_checker()
         super().__init__(
-            self._own,
+            self._make_checker(),
             JointLimits.of(placement.arm, scale=speed),
             kinematics_of(placement.arm, placement.end_effector),
             **options,
@@ -102,17 +49,15 @@ class ScenePlanner(Planner):
         self.look()
 
     def look(self) -> None:
-        """Take where everything is now, and of which size.
+        """Take where everything is now.
 
-        Where shapes have changed, as from one episode to the next, `checker` is a new one from here on, in which the
-        same things may touch and are attached.
+        Raises:
+            WrongOrder: Shapes have changed, as randomised ones do from one episode to the next.
         """
-        shapes, before = self._present_shapes(), self._own
+        shapes = self._present_shapes()
         if any(not np.array_equal(shapes[name], self._shapes[name]) for name in GEOMETRY):
-            self._shapes = shapes
-            self.checker = self._own = self._make_checker()
-            self._own.take_over(before)
-        self._own.set_state(self._qpos(), *self._mocap())
+            raise WrongOrder("The sizes of objects have changed since this planner was made; make a new one.")
+        self.checker.set_state(self._qpos(), *self._mocap())
 
     @property
     def joints(self) -> NDArray[np.float64]:
@@ -152,14 +97,14 @@ class ScenePlanner(Planner):
         """Return the fields of this copy's model that say where shapes are and how large."""
         return {name: np.array(self._of_copy(self._world.field(name))) for name in GEOMETRY}
 
-    def _make_checker(self) -> SceneChecker:
+    def _make_checker(self) -> CollisionChecker:
         """Return a checker with the shapes that were seen last."""
         model = self._world.model
         if self._world.leading:
             model = copied(model)
             for name, values in self._shapes.items():
                 getattr(model, name)[:] = values
-        return SceneChecker(model, self._layout.joint_ids)
+        return CollisionChecker(model, [self._layout.joint_ids])
 
     def _of_copy(self, values: NDArray[Any]) -> NDArray[Any]:
         return values[self._copy] if self._world.leading else values
