@@ -13,7 +13,6 @@ from rcs.envs.planner_for import ScenePlanner
 from rcs.errors import InvalidSetup, UnknownName, WrongOrder
 from rcs.robots.fr3 import FR3
 from rcs.sim.randomisation import Randomisation
-from rcs.spatial import Pose
 
 
 def test_a_planner_sees_the_scene_as_it_is_and_looks_again_when_asked() -> None:
