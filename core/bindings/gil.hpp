@@ -19,6 +19,7 @@ auto take_gil(F take) noexcept {
 /// Calls Python code, which gives the GIL up and takes it again as it runs. If the program ends meanwhile, the thread
 /// waits for that and never returns. Objects that `call` owns are released without the GIL then: make them outside.
 template <typename F>
+[[gnu::no_sanitize("null")]]  // what unwinds has no object, and nothing asks for it
 decltype(auto) call_python(F call) {
   try {
     return call();
