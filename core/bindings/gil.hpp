@@ -3,8 +3,9 @@
 #pragma once
 
 #include <Python.h>
-#include <cxxabi.h>
 #include <unistd.h>
+
+#include <exception>
 
 /// Calls a function that takes the GIL. If the program ends meanwhile, the thread waits for that and never returns.
 template <typename F>
@@ -19,11 +20,12 @@ auto take_gil(F take) noexcept {
 /// Calls Python code, which gives the GIL up and takes it again as it runs. If the program ends meanwhile, the thread
 /// waits for that and never returns. Objects that `call` owns are released without the GIL then: make them outside.
 template <typename F>
-[[gnu::no_sanitize("null")]]  // what unwinds has no object, and nothing asks for it
 decltype(auto) call_python(F call) {
   try {
     return call();
-  } catch (abi::__forced_unwind&) {
+  } catch (const std::exception&) {
+    throw;
+  } catch (...) {  // nothing but that unwinding
     while (true) pause();
   }
 }
