@@ -24,7 +24,7 @@ from rcs.agents.agent import is_path
 from rcs.rollout.collection import Attempt
 from rcs.rollout.episode import EpisodeResult
 from rcs.rollout.evaluate import evaluate, film
-from rcs.rollout.evaluation import Evaluation, Ledgered, Summary
+from rcs.rollout.evaluation import Evaluation, Summary
 from rcs.rollout.logbook import differs
 from rcs.rollout.video import cut_films
 
@@ -52,12 +52,22 @@ class PoolOptions:
         return self.workers if self.ray else min(self.workers or os.cpu_count() or 1, max(episodes, 1))
 
 
-@dataclass(frozen=True, kw_only=True)
-class LedgerOptions(Ledgered):
+@dataclass(kw_only=True)
+class LedgerOptions:
     """The ledger of an evaluation."""
 
     out: Path = Path("evaluation")
     """Folder of the ledger, which may have other evaluations; episodes that are there are not run again."""
+    name: str | None = None
+    """Name of the agent in the ledger; by default its own, such as `pick@40000`."""
+    tags: dict[str, str] | None = None
+    """Names and values for the ledger, by which figures can be drawn, such as `mix half`."""
+    repeat: int = 0
+    """How many more times to run each episode, even if the ledger has it."""
+    against: str | None = None
+    """Another agent in the ledger, by name or hash, for `--until`."""
+    until: float | None = None
+    """Level, such as 0.05: end as soon as the seeds shared with `--against` show which agent is better."""
     videos: int = 0
     """How many episodes to run once more, from their seeds, and film; failures come first."""
 
@@ -70,7 +80,8 @@ class LedgerOptions(Ledgered):
         """
         require_whole("videos", self.videos)
         require_writable(self.out)
-        return {own.name: getattr(self, own.name) for own in fields(self) if own.name != "videos"}
+        given = {own.name: getattr(self, own.name) for own in fields(self) if own.name != "videos"}
+        return {**given, "tags": self.tags or {}}
 
 
 def attempts_of(evaluation: Evaluation, summary: Summary, pool: PoolOptions) -> tuple[Iterator[Attempt], int | str]:

@@ -118,7 +118,7 @@ class SweepCommand(SetupOptions):
             raise InvalidSetup(f"The training has removed all checkpoints in {self.training}; {_KEPT}.")
         steps = max(rates, key=lambda one: (rates[one][0], one))
         console.print(f"Best of {len(rates)}, by the episodes above: {steps} steps. Now on other seeds:")
-        again = {**options, "tags": {**self.ledger.tags, "sweep": AGAIN}}
+        again = {**options, "tags": {**(self.ledger.tags or {}), "sweep": AGAIN}}
         summary = self._evaluate(steps, rates[steps][1], again, console, seed=self.seed + _OTHER_SEEDS)
         verdicts = Verdicts.of(result.success for result in summary.results)
         left_out = f"; {verdicts.not_judged} not judged" if verdicts.judged and verdicts.not_judged else ""

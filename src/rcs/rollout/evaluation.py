@@ -27,23 +27,7 @@ UNSEEN = 1 << 60
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ledgered:
-    """How episodes are entered in a ledger, and what there ends an evaluation."""
-
-    name: str | None = None
-    """Name of the agent in the ledger; by default its own, such as `pick@40000`."""
-    tags: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Names and values for the ledger, by which figures can be drawn, such as `mix` and `half`."""
-    repeat: int = 0
-    """How many more times to run each episode, even if the ledger has it."""
-    against: str | None = None
-    """Another agent in the ledger, by name or hash, for `until`."""
-    until: float | None = None
-    """Level, such as 0.05: end as soon as the seeds shared with `against` show which agent is better."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Evaluation(Ledgered):
+class Evaluation:
     """The recipe of an evaluation."""
 
     setup: Setup
@@ -52,9 +36,19 @@ class Evaluation(Ledgered):
     agent: Any = None
     """A class or function that makes an agent, its name or `module:Class`, the path of a checkpoint, the address of a
     policy, or an `Identified`; None for the expert of the task. In one process also an agent."""
+    name: str | None = None
+    """Name of the agent in the ledger; None for its own."""
+    tags: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Names and values for the ledger, by which figures can be drawn, such as `{"mix": "half real"}`."""
     episodes: int = 50
     seed: int = 0
     """Same seed, same episodes; different seeds share none. No collection and no training has any of them."""
+    repeat: int = 0
+    """How many more times to run each episode, even if the ledger has it."""
+    against: str | None = None
+    """Another agent in the same ledger, by name or hash, for `until`."""
+    until: float | None = None
+    """Level, such as 0.05: end as soon as the seeds shared with `against` show which agent is better."""
     workers: int = 1
     """Processes; one works in this process. With `ray`, 0 is one per CPU of the cluster. A simulator at an address
     has one."""
