@@ -117,7 +117,10 @@ def test_motors_are_off_while_the_person_leads_and_soon_after_nobody_says_where_
             assert with_torque(bus) == joints_of(bus)
             show(device, robot, "engaged")
             assert not with_torque(bus)
-        show(device, robot, "released")
+        for _ in range(10):  # a machine that pauses makes it as silent as nobody
+            show(device, robot, "released")
+            if with_torque(bus):
+                break
         assert with_torque(bus)
         silent = time.monotonic()
         while time.monotonic() < silent + FRESH + 0.05:
