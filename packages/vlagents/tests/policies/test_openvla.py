@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vlagents.policies.openvla import CROP, EMPTY, end_with_empty, picture_for, prompt
+from vlagents.policies.openvla import CROP, EMPTY, PROMPT, PROMPT_V01, end_with_empty, picture_for, prompt
 
 
 @pytest.mark.parametrize("said", ["Pick up the cube", " pick up the Cube. ", "pick up the cube..."])
 def test_an_instruction_is_in_lower_case_without_a_full_stop(said: str) -> None:
-    assert prompt(said) == "In: What action should the robot take to pick up the cube?\nOut:"
+    assert prompt(PROMPT, said) == "In: What action should the robot take to pick up the cube?\nOut:"
+    assert prompt(PROMPT_V01, said).endswith("take to pick up the cube? ASSISTANT:")
 
 
 def test_a_cropped_picture_is_its_middle_at_the_same_size() -> None:

@@ -30,6 +30,12 @@ EMPTY = 29871
 CROP = 0.9
 """Share of an image's area that is kept, in the middle, for models that were trained with random crops."""
 PROMPT = "In: What action should the robot take to {}?\nOut:"
+PROMPT_V01 = (
+    "A chat between a curious user and an artificial intelligence assistant. "
+    "The assistant gives helpful, detailed, and polite answers to the user's questions. "
+    "USER: What action should the robot take to {}? ASSISTANT:"
+)
+"""Prompt of the models called v01, which are based on Vicuna."""
 
 
 class OpenvlaPolicy(SessionPolicy[None]):
@@ -41,8 +47,8 @@ class OpenvlaPolicy(SessionPolicy[None]):
         Args:
             checkpoint: A folder that Transformers saved, or a name of its hub.
             settings: `dataset` (upstream: unnorm_key), `images` (of the one image, `image`), `action`, `rate`,
-                `device`; options `center_crop` (false; true for models trained with random crops) and `attention`
-                ("sdpa", "eager" or "flash_attention_2").
+                `device`; options `center_crop` (false; true for models trained with random crops), `v01` (false; true
+                for the prompt of those models) and `attention` ("sdpa", "eager" or "flash_attention_2").
 
         Raises:
             MissingStack: A package is not installed.
@@ -50,10 +56,11 @@ class OpenvlaPolicy(SessionPolicy[None]):
         """
         settings = settings or Settings.read(checkpoint)
         settings.check_images(["image"])
-        settings.check_options(("center_crop", "attention"))
+        settings.check_options(("center_crop", "v01", "attention"))
         if settings.state:
             raise InvalidInput("The settings have a state, and OpenVLA takes none.")
         self._is_cropped = settings.option("center_crop", False)
+        self._prompt = PROMPT_V01 if settings.option("v01", "v01" in checkpoint) else PROMPT
         self._torch, transformers, *_ = import_stack("openvla", "torch", "transformers", "timm", "PIL")
         self._device = device(self._torch, settings.device)
         # A CPU is slow with less than float32.
@@ -87,7 +94,7 @@ class OpenvlaPolicy(SessionPolicy[None]):
         """
         instruction = self._instruction(observation)
         image = picture_for(observation.image(self._camera), self._is_cropped)
-        given = self._processor(prompt(instruction), image).to(self._device, dtype=self._precision)
+        given = self._processor(prompt(self._prompt, instruction), image).to(self._device, dtype=self._precision)
         end_with_empty(self._torch, given)
         with self._torch.inference_mode():
             action = self._model.predict_action(**given, unnorm_key=self._dataset, do_sample=False)
@@ -128,9 +135,9 @@ def load(transformers: Any, checkpoint: str, precision: Any, attention: str) -> 
     return model, processor
 
 
-def prompt(instruction: str) -> str:
+def prompt(form: str, instruction: str) -> str:
     """Return the text that the model goes on from: the instruction in lower case, without a full stop at its end."""
-    return PROMPT.format(instruction.strip().rstrip(".").lower())
+    return form.format(instruction.strip().rstrip(".").lower())
 
 
 def picture_for(image: NDArray[np.uint8], is_cropped: bool) -> Any:
