@@ -47,10 +47,6 @@ void check_threads_can_start(int threads) {
                              " threads could be started (" + reason + "); ask for fewer threads or close other worlds");
 }
 
-// MuJoCo's profile of its functions, `mjData.timer`, reads the clock some thirty times in a physics step, 3 % of its
-// time. It is turned off once in a process, so that somebody may turn it on again.
-void stop_profile() { [[maybe_unused]] static const mjfTime none = mjcb_time = nullptr; }
-
 }  // namespace
 
 World::Taken::Taken(const World& world, const char* call, bool needs_threads) : world_(world) {
@@ -154,7 +150,9 @@ mjBatch* World::batch() {
 }
 
 void World::allocate() {
-  stop_profile();
+  // MuJoCo's profile of its functions, `mjData.timer`, reads the clock some thirty times in a physics step, 3 % of its
+  // time. It is turned off once in a process, so that somebody may turn it on again.
+  [[maybe_unused]] static const mjfTime none = mjcb_time = nullptr;
   const auto n = static_cast<std::size_t>(copies_);
   out_->ends.assign(n, static_cast<std::uint8_t>(StepEnd::period));
   out_->substeps.assign(n, 0);
