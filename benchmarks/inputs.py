@@ -153,7 +153,6 @@ class Person(Agent):
     def close(self) -> None:
         """Disconnect."""
         self.operator.close()
-        self.end.close()
 
 
 def _way(tcp: Any, target: Any) -> Any:

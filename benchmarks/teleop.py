@@ -247,7 +247,7 @@ def loop(options: Options) -> list[dict[str, Any]]:
     results: list[dict[str, Any]] = []
     for rate, count in options.loops:
         names = [f"camera{i}" for i in range(count)]
-        mount = lab_of("fr3").cameras["side"]
+        mount = replace(lab_of("fr3").cameras["side"], calibration=None)  # which is that of one shape of pictures
         cameras = rcs.Cameras(names=tuple(names), mounts=dict.fromkeys(names, mount), mode=options.mode, fps=30)
         fakes = {name: f"fake:{name}" for name in names}
         site = Site(arms={"fr3": "fake:a"}, grippers={"fr3": "fake:g"}, cameras=fakes)
