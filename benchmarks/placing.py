@@ -15,6 +15,7 @@ of the others, by what they say.
 from __future__ import annotations
 
 import json
+import sys
 import tempfile
 from collections import Counter
 from dataclasses import dataclass
@@ -39,6 +40,7 @@ class Patient(VirtualSupervisor):
 
     def may_recover(self, faults: str) -> bool:
         """Agree."""
+        print(faults, file=sys.stderr)
         self.faults += 1
         return True
 

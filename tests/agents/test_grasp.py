@@ -9,7 +9,7 @@ import pytest
 
 import rcs
 from rcs.agents import PickExpert
-from rcs.agents.grasp import CLEARANCE, plan_from_above
+from rcs.agents.grasp import CLEARANCE, are_still, plan_from_above
 from rcs.rollout.episode import run_episode
 from rcs.spatial import Pose
 
@@ -75,3 +75,22 @@ def test_what_is_out_of_reach_has_no_plan() -> None:
     for robot in ("fr3", "so101"):
         expert, _, _ = planned(robot, 0)
         assert plan_from_above(expert.arms[0], Pose((3.0, 0.0, 0.0)), [[0.0, 1.0]]) is None
+
+
+def test_a_reading_of_the_gripper_that_is_seen_twice_does_not_show_that_it_stands_still() -> None:
+    env = rcs.make("PickCuboid", robot="fr3")
+    expert = PickExpert(env)
+    observation, info = env.reset(seed=0)
+    expert.reset(observation, info)
+    (arm,) = expert.arms
+
+    def see(opening: float, step: int, age: float) -> bool:
+        own = {**observation, "gripper": np.array([opening])}
+        arm.see(own, {**info, "time": info["time"] + step / 30, "ages": {"gripper": age}})
+        return are_still(expert)
+
+    assert not see(0.8, 1, 0.001)
+    assert not see(0.7, 2, 0.001)
+    assert not see(0.7, 3, 0.0344), "the hand, which sends 30 states a second, has sent none"
+    assert not see(0.6, 4, 0.001)
+    assert see(0.6, 5, 0.001)

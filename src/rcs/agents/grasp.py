@@ -27,9 +27,9 @@ EMPTY = 0.05
 
 
 def are_still(script: Script) -> bool:
-    """Return whether all grippers stand still."""
-    pairs = [(float(arm.observation[GRIPPER][0]), float(arm.before[GRIPPER][0])) for arm in script.arms]
-    return all(abs(now - before) < STILL * script.step_time for now, before in pairs)
+    """Return whether all grippers stood still between their latest two readings."""
+    pairs = [(arm.openings[0], arm.openings[-1]) for arm in script.arms]
+    return all(abs(now - before) < STILL * (at - earlier) for (earlier, before), (at, now) in pairs)
 
 
 def have_closed(script: Script) -> bool:

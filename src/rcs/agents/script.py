@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from rcs.agents.action_writer import ActionWriter
 from rcs.agents.agent import Agent
 from rcs.envs.env import Env
-from rcs.envs.spaces import JOINTS, TQUAT, Action, Observation
+from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Action, Observation
 from rcs.errors import WrongOrder
 from rcs.kinematics import Kinematics, kinematics_of
 from rcs.sim.scene import RobotPlacement
@@ -27,6 +28,8 @@ BRAKING = 1.0
 
 STILL = 0.005
 """Speed of the TCP below which an arm stands still [m/s]."""
+SAME_READING = 1e-3
+"""Time between two readings of a gripper that are one and the same, whose age is measured twice [s]."""
 
 Condition = Callable[["Script"], bool]
 Plan = Mapping[str, NDArray[np.float64]]
@@ -57,7 +60,7 @@ GIVEN_UP = Phase("given up")
 
 
 class ScriptedArm:
-    """One arm of a script: its solver, its latest two observations, and its plan."""
+    """One arm of a script: its solver, its latest two observations and readings of the gripper, and its plan."""
 
     def __init__(self, env: Env, key: str | None, robot: RobotPlacement) -> None:
         self.key, self.robot = key, robot
@@ -68,6 +71,8 @@ class ScriptedArm:
         )
         self.observation: Observation = {}
         self.before: Observation = {}
+        self.openings: deque[tuple[float, float]] = deque(maxlen=2)
+        """Times [s] and openings of the latest two readings of the gripper, oldest first."""
         self.start = np.zeros(0)
         """Joints at the start of the episode [rad]."""
         self.target = np.zeros(0)
@@ -78,6 +83,12 @@ class ScriptedArm:
         """Take the observation of a new step, and the executed target of the last action."""
         own = observation if self.key is None else observation[self.key]
         self.before, self.observation = self.observation or own, own
+        if GRIPPER in own:
+            # A hand sends few states, and one that is seen twice does not show that the fingers stand still.
+            age = info.get("ages", {}).get(GRIPPER if self.key is None else f"{self.key}/{GRIPPER}", 0.0)
+            at = float(info["time"]) - age
+            if not self.openings or at > self.openings[-1][0] + SAME_READING:
+                self.openings.append((at, float(own[GRIPPER][0])))
         self.writer.follow(info, self.key)
 
 
@@ -155,6 +166,7 @@ class Script(Agent):
             raise WrongOrder(f"{type(self).__name__} needs info[{missing[0]!r}]; use it in the task {self.task}.")
         self.info, self._failure, self._attempt, self._now = info, None, 0, float(info["time"])
         for arm in self.arms:
+            arm.openings.clear()
             arm.see(observation, info)
             arm.writer.reset(arm.observation)
             arm.start, arm.target = np.array(arm.observation[JOINTS]), np.array(arm.observation[TQUAT])
