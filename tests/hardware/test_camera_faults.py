@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ import pytest
 from rcs_data import Dataset
 
 import rcs
+from rcs.robots.camera import CameraMount, looking
 from rcs.virtual import VirtualProcess
 from rcs.virtual.sensors import DRIFT, device_time
 
@@ -24,9 +27,27 @@ STAY = {"joints": np.zeros(5), "gripper": np.ones(1, np.float32)}
 FAULTS: tuple[tuple[Any, ...], ...] = (("freeze", 1.5), ("unplug", 1.5), ("swap", "diagonal"), ("black",))
 
 
+@pytest.fixture(scope="module", params=["webcam", "realsense"])
+def kind(request: pytest.FixtureRequest) -> str:
+    if request.param == "realsense":
+        pytest.importorskip("pyrealsense2", reason="needs the vendor's library and libusb", exc_type=ImportError)
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def served() -> Iterator[VirtualProcess]:
-    with VirtualProcess("so101", cameras=("wrist", "diagonal")) as process:
+def cameras(kind: str) -> rcs.Cameras:
+    if kind == "webcam":
+        return rcs.Cameras(names=("wrist",), image_size=(320, 240), fps=15)
+    d435 = CameraMount(camera="realsense_d435", optical=looking((0.6, 0.5, 0.5), (0.2, 0.0, 0.0)))
+    return rcs.Cameras(mounts={"wrist": d435}, image_size=(320, 240), fps=30, depth=True)
+
+
+@pytest.fixture(scope="module")
+def served(cameras: rcs.Cameras, tmp_path_factory: pytest.TempPathFactory) -> Iterator[VirtualProcess]:
+    file = tmp_path_factory.mktemp("served") / "setup.json"
+    setup = rcs.Setup(task="Free", robot="so101", cameras=replace(cameras, names=("wrist", "diagonal"), depth=False))
+    file.write_text(json.dumps(setup.to_json()), "utf-8")
+    with VirtualProcess("so101", setup=file, cameras=("wrist", "diagonal"), depth=cameras.depth) as process:
         yield process
 
 
@@ -43,10 +64,12 @@ def followed(env: Any, *, until: float) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("on_stale", ["fault", "hold", "flag"])
-def test_at_random_moments(served: VirtualProcess, on_stale: Any, tmp_path: Path) -> None:
+def test_at_random_moments(
+    served: VirtualProcess, cameras: rcs.Cameras, kind: str, on_stale: Any, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(len(on_stale))
-    cameras = rcs.Cameras(names=("wrist",), image_size=(320, 240), fps=15)
-    site = rcs.Site(cameras=served.site.cameras, on_stale=on_stale, stale_after=STALE)
+    site = rcs.Site(cameras={"wrist": served.site.cameras["wrist"]}, on_stale=on_stale, stale_after=STALE)
+    assert served.site.cameras["wrist"].driver == kind
     for moment in range(MOMENTS):
         fault = FAULTS[moment % len(FAULTS)]
         served.tell("wrist/clear")

@@ -38,6 +38,8 @@ class VirtualCommand:
     """File for what it gets and does, as JSON lines; every tick is in a binary file beside it."""
     cameras: tuple[str, ...] = ()
     """Cameras of the lab that it serves, too, such as: wrist side."""
+    depth: bool = False
+    """Serve the depth cameras among them with depth, for the driver `realsense`; otherwise all are webcams."""
     tactile: bool = False
     """Serve tactile sensors in the place of the gripper's pads, too."""
 
@@ -63,7 +65,13 @@ class VirtualCommand:
         if self.setup is not None and setup.robot != robot:
             raise InvalidSetup(f"The setup {self.setup} is for {setup.robot!r}, not for {robot!r}.")
         world = VirtualWorld(
-            setup, address=self.address, seed=self.seed, log=self.log, cameras=self.cameras, tactile=self.tactile
+            setup,
+            address=self.address,
+            seed=self.seed,
+            log=self.log,
+            cameras=self.cameras,
+            depth=self.depth,
+            tactile=self.tactile,
         )
         try:
             for number in (signal.SIGTERM, signal.SIGINT):

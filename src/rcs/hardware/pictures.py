@@ -10,9 +10,10 @@ import math
 import select
 import socket
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +36,8 @@ SERIAL = "x-serial-number"
 class Picture:
     """A picture as it comes from a camera."""
 
-    jpeg: bytes | memoryview = b""
-    """The picture, compressed; empty if `rgb` has it."""
+    content: bytes | memoryview = b""
+    """The picture as it was sent, usually a JPEG; empty if `rgb` has it."""
     rgb: NDArray[np.uint8] | None = None
     """The picture, (H, W, 3)."""
     number: int
@@ -88,15 +89,9 @@ class HttpPictures:
         Raises:
             InvalidSetup: The URL is not valid.
         """
-        try:
-            parts = urlsplit(url)
-            port = parts.port or 80
-        except ValueError:  # the port, or a bracket that is not closed
-            parts, port = urlsplit(""), 0
-        if parts.scheme != "http" or not parts.hostname:
-            raise InvalidSetup(f"The address of a camera is {url!r}; valid on a network is 'http://HOST:PORT/PATH'.")
+        parts = require_url(url)
         self.serial = serial
-        self._url, self._host, self._port = url, parts.hostname, port
+        self._url, self._host, self._port = url, parts.hostname or "", parts.port or 80
         query = f"resolution={mode.width}x{mode.height}&fps={mode.fps:g}"
         self._path = f"{parts.path or '/'}?{parts.query + '&' if parts.query else ''}{query}"
         self._latency = latency
@@ -155,13 +150,13 @@ class HttpPictures:
             else:
                 self._fill(until if found is None else time.monotonic() + READ_LIMIT)
         arrived = self._empty_at = time.monotonic()
-        fields, jpeg = found
+        fields, content = found
         is_first, self._is_first = self._is_first, False
         try:
             at = float(fields["x-timestamp"])
         except (KeyError, ValueError):  # it has no clock
             taken = arrived if math.isnan(earliest) else earliest + 1e-6  # after the picture before
-            return Picture(jpeg=jpeg, number=self._number, time=max(taken - self._latency, 0.0))
+            return Picture(content=content, number=self._number, time=max(taken - self._latency, 0.0))
         taken = -math.inf
         try:
             taken = self.clock.host_time(at, arrived)
@@ -173,7 +168,7 @@ class HttpPictures:
         if is_first and arrived - taken > READ_LIMIT + self._latency:
             self.clock = DeviceClock(self._latency)
             taken = self.clock.host_time(at, arrived)
-        return Picture(jpeg=jpeg, number=self._number, time=taken, device_time=at)
+        return Picture(content=content, number=self._number, time=taken, device_time=at)
 
     def close(self) -> None:
         """Disconnect; closing twice is harmless."""
@@ -182,6 +177,12 @@ class HttpPictures:
             self._socket = None
         self._rest.clear()
         self._empty_at = time.monotonic()
+
+    def interrupt(self) -> None:
+        """End the connection of another thread, which reads from it."""
+        if (connected := self._socket) is not None:
+            with suppress(OSError):  # it has ended
+                connected.shutdown(socket.SHUT_RDWR)
 
     def _is_waiting(self) -> bool:
         """Return whether bytes wait to be read."""
@@ -230,6 +231,23 @@ class HttpPictures:
         if len(self._rest) > MOST_BYTES:
             raise DeviceFault(f"{self._url} gives no pictures")
         self._rest += data
+
+
+def require_url(url: str) -> SplitResult:
+    """Return the parts of a camera's URL.
+
+    Raises:
+        InvalidSetup: It is not valid.
+    """
+    try:
+        parts = urlsplit(url)
+        is_valid = parts.scheme == "http" and bool(parts.hostname) and parts.port != 0
+    except ValueError:  # the port, or a bracket that is not closed
+        is_valid = False
+        parts = urlsplit("")
+    if not is_valid:
+        raise InvalidSetup(f"The address of a camera is {url!r}; valid on a network is 'http://HOST:PORT/PATH'.")
+    return parts
 
 
 def _fields(head: bytes) -> dict[str, str]:

@@ -17,7 +17,9 @@ from rcs.errors import DeviceFault, InvalidSetup, require_fields
 from rcs.extras import package_of
 from rcs.hardware.device_clock import DeviceClock
 from rcs.hardware.driver import Driver
+from rcs.hardware.pictures import require_url
 from rcs.hardware.programs import holders
+from rcs.hardware.realsense_network import NetworkPipeline
 from rcs.hardware.usb import Plug, UsbDevice, usb_devices
 from rcs.hardware.video_camera import LONGEST_WARM_UP, seconds
 from rcs.robots.camera import CameraDescription
@@ -25,10 +27,11 @@ from rcs.robots.camera import CameraDescription
 _log = logging.getLogger(__name__)
 
 CONTROLS = ("exposure", "gain", "white_balance", "power_line_frequency", "emitter")
-OPTIONS = ("warm_up", "latency", *CONTROLS)
+OPTIONS = ("warm_up", "latency", "serial", *CONTROLS)
 """Options of a site: `warm_up` [s] drops the first pictures; `latency` [s] is the time that the fastest picture takes;
-the others set the camera: `exposure` [s], `gain`, `white_balance` [K], `power_line_frequency` (0, 50 or 60 Hz), and
-`emitter`, whether the pattern for depth is projected."""
+`serial` is the serial number that a camera at a URL must have; the others set a camera on a USB port: `exposure` [s],
+`gain`, `white_balance` [K], `power_line_frequency` (0, 50 or 60 Hz), and `emitter`, whether the pattern for depth is
+projected."""
 READ_LIMIT = 1.0
 """Longest wait for a picture [s]."""
 RESET_AFTER = 4
@@ -42,7 +45,10 @@ RULES = "https://github.com/realsenseai/librealsense/blob/master/config/99-reals
 
 
 class RealsenseDriver(Driver):
-    """Driver of D400 cameras. The address is a serial number, or the path of a recording (`.db3`, `.bag`) to play."""
+    """Driver of D400 cameras.
+
+    The address is a serial number, the path of a recording (`.db3`, `.bag`) to play, or the URL of a virtual camera.
+    """
 
     def camera(self, address: str, about: CameraDescription, mode: CameraMode, options: Mapping[str, Any]) -> Realsense:
         """Return a camera; its depth, if the mode has it, is aligned to the colours."""
@@ -53,7 +59,7 @@ class RealsenseDriver(Driver):
 
 
 class Realsense(Camera):
-    """A D400 camera, or a recording of one."""
+    """A D400 camera, a recording of one, or a virtual one."""
 
     def __init__(self, address: str, mode: CameraMode, options: Mapping[str, Any]) -> None:
         """Open nothing yet; arguments as in the driver.
@@ -70,9 +76,17 @@ class Realsense(Camera):
         self._latency = seconds("latency", options.get("latency", 0.0), 1.0)
         super().__init__(f"RealSense {address}", mode)
         self._address, self._options = address, dict(options)
-        self._is_recording = address.endswith((".db3", ".bag"))
-        if self._is_recording and (given := [name for name in CONTROLS if name in options]):
-            raise InvalidSetup(f"The options {given} set a camera; {address} is a recording. Leave them out.")
+        self._is_on_network = "://" in address
+        self._is_recording = not self._is_on_network and address.endswith((".db3", ".bag"))
+        self._is_plugged_in = not (self._is_on_network or self._is_recording)
+        if self._is_on_network:
+            require_url(address)
+        elif "serial" in options:
+            raise InvalidSetup("The serial number of a RealSense on a USB port is its address, not an option.")
+        if not self._is_plugged_in and (given := [name for name in CONTROLS if name in options]):
+            what = "is a recording" if self._is_recording else "is on a network"
+            raise InvalidSetup(f"The options {given} set a camera; {address} {what}. Leave them out.")
+        self._serial = str(options.get("serial", "")) if self._is_on_network else address
         self._pipeline: Any = None
         self._device: Any = None
         self._align: Any = None
@@ -88,15 +102,15 @@ class Realsense(Camera):
     @property
     def about(self) -> dict[str, Any]:
         """Facts for recordings: address, options, and once it is open, the facts that the camera reports."""
-        return {"serial": self._address, "options": self._options, **self._told}
+        return {"serial": self._serial, "options": self._options, **self._told}
 
     def plug(self) -> Plug | None:
-        """Return its place on a USB bus; None for a recording.
+        """Return its place on a USB bus; None for a recording, and on a network.
 
         Raises:
             InvalidSetup: It is not plugged in.
         """
-        if self._is_recording:
+        if not self._is_plugged_in:
             return None
         rs = _library()
         place = _place(rs, self._find(rs))
@@ -120,21 +134,26 @@ class Realsense(Camera):
             self._open()
 
     def _start(self) -> None:
-        rs = _library()
-        config, pipeline, mode = rs.config(), rs.pipeline(), self.mode
-        if self._is_recording:
-            config.enable_device_from_file(self._address, False)
-            config.enable_stream(rs.stream.color)
-            if mode.has_depth:
-                config.enable_stream(rs.stream.depth)
+        rs, mode = _library(), self.mode
+        if self._is_on_network:
+            pipeline = NetworkPipeline(rs, self._address, serial=self._serial)
+            self._serial, self._pipeline = pipeline.serial, pipeline
+            profile = pipeline.start(self._choose(rs, pipeline.device))
         else:
-            self._device = self._find(rs)
-            config.enable_device(self._address)
-            self._choose(rs, config)
-        self._pipeline = pipeline
-        profile = pipeline.start(config)
+            config, pipeline = rs.config(), rs.pipeline()
+            if self._is_recording:
+                config.enable_device_from_file(self._address, False)
+                streams = [(rs.stream.color,), (rs.stream.depth,)][: 1 + mode.has_depth]
+            else:
+                self._device = self._find(rs)
+                config.enable_device(self._address)
+                streams = self._choose(rs, self._device)
+            for stream in streams:
+                config.enable_stream(*stream)
+            self._pipeline = pipeline
+            profile = pipeline.start(config)
         device = profile.get_device()
-        if not self._is_recording:  # only now: it would also change the pictures of another program, which has them
+        if self._is_plugged_in:  # only now: it would also change the pictures of another program, which has them
             self._set_controls(rs, device)
         color = profile.get_stream(rs.stream.color).as_video_stream_profile()
         self._known_calibration = _calibration(rs, color.get_intrinsics())
@@ -237,22 +256,27 @@ class Realsense(Camera):
             f"No RealSense has the serial number {self._address!r}. Plugged in: {there or 'none'}{shut}."
         )
 
-    def _choose(self, rs: Any, config: Any) -> None:
-        """Choose the streams of the mode; depth has its size, or else the largest that there is at this rate."""
-        mode, offered = self.mode, [one for sensor in self._device.query_sensors() for one in _modes(rs, sensor)]
+    def _choose(self, rs: Any, device: Any) -> list[tuple[Any, int, int, Any, int]]:
+        """Return the streams of the mode: kind, width, height, format and rate.
+
+        Depth has the mode's size, or else the largest that there is at this rate.
+        """
+        mode, offered = self.mode, [one for sensor in device.query_sensors() for one in _modes(rs, sensor)]
         size, rate = (mode.width, mode.height), int(mode.fps)
         colours = {(w, h, r) for kind, w, h, r in offered if kind == rs.stream.color}
         depths = {(w, h, r) for kind, w, h, r in offered if kind == rs.stream.depth}
         if (*size, rate) not in colours:
             each = ", ".join(f"{w}x{h} at {r}" for w, h, r in sorted(colours))
             raise InvalidSetup(f"{self.name} does not offer {size[0]}x{size[1]} at {rate} Hz; it has {each}.")
-        config.enable_stream(rs.stream.color, *size, rs.format.rgb8, rate)
+        streams = [(rs.stream.color, *size, rs.format.rgb8, rate)]
         if not mode.has_depth:
-            return
+            return streams
         fitting = [(w, h) for w, h, r in depths if r == rate]
+        if not depths:
+            raise InvalidSetup(f"{self.name} has no depth; use depth=False, or another camera.")
         if not fitting:
             raise InvalidSetup(f"{self.name} has no depth at {rate} Hz; it has {sorted({r for *_, r in depths})}.")
-        config.enable_stream(rs.stream.depth, *(size if size in fitting else max(fitting)), rs.format.z16, rate)
+        return [*streams, (rs.stream.depth, *(size if size in fitting else max(fitting)), rs.format.z16, rate)]
 
     def _set_controls(self, rs: Any, device: Any) -> None:
         """Set the controls of the options and read them back; leave others to the camera."""

@@ -157,7 +157,7 @@ class V4l2Pictures:
         device_time = stamp if taken == stamp else math.nan
         about: Any = {"number": self._number, "time": taken - self._latency, "device_time": device_time}
         if self._format == "MJPG":
-            return Picture(jpeg=np.ascontiguousarray(pixels).tobytes().rstrip(b"\0"), **about)
+            return Picture(content=np.ascontiguousarray(pixels).tobytes().rstrip(b"\0"), **about)
         return Picture(rgb=np.ascontiguousarray(pixels[..., ::-1]), **about)
 
     def close(self) -> None:

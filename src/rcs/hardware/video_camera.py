@@ -82,7 +82,7 @@ class VideoCamera(Camera):
             rgb = picture.rgb
             if rgb is None:
                 try:
-                    rgb = simplejpeg.decode_jpeg(picture.jpeg, colorspace="RGB", strict=True)
+                    rgb = simplejpeg.decode_jpeg(picture.content, colorspace="RGB", strict=True)
                 except ValueError as err:  # bytes are missing: the picture is torn
                     if time.monotonic() > until:
                         raise DeviceFault(f"all pictures for {READ_LIMIT:g} s were damaged: {err}") from err

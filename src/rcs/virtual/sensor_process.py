@@ -2,7 +2,8 @@
 
 It reads lines of JSON: first what to draw, then faults; it ends with its input. A client asks for
 `/NAME?resolution=640x480&fps=30` and gets JPEGs without end, each with the moment that it shows, on the sensor's own
-clock.
+clock; with `&format=rgbd`, pixels and depth instead, as `rcs.hardware.realsense_network` reads them. `/NAME?about` says
+as JSON what a camera is.
 """
 
 from __future__ import annotations
@@ -21,22 +22,27 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import simplejpeg
-from numpy.typing import NDArray
 
 from rcs.envs.assemble import compose
 from rcs.envs.parts import Parts
 from rcs.envs.setup import Setup
 from rcs.errors import RcsError
+from rcs.hardware.realsense_network import RGB, RGBD
+from rcs.robots.camera import describe
 from rcs.setups.make import resolve
 from rcs.sim.camera import SimCameras
+from rcs.sim.optics import Optics
 from rcs.sim.tactile import SimTactile
 from rcs.sim.world import World
+from rcs.spatial import Intrinsics
 from rcs.virtual.sensors import LATENCY, SharedState, device_time, serial_of
 
 QUALITY = 95
 """Quality of JPEGs, without subsampling of colours."""
-MOST_WAITING = 256
-"""Number of pictures that a stream keeps for later sending; older ones are dropped."""
+MOST_WAITING, MOST_BYTES = 256, 256 << 20
+"""Number and size of pictures that a stream keeps for later sending; older ones are dropped."""
+JPEG = "jpeg"
+"""Format of pictures that are not asked for as pixels."""
 BOUNDARY = "picture"
 
 
@@ -80,13 +86,14 @@ class Sensor:
 
 
 class Stream:
-    """The pictures that one client gets: those of a sensor, of one size and rate."""
+    """The pictures that one client gets: those of a sensor, of one size, rate and format."""
 
-    def __init__(self, sensor: Sensor, size: tuple[int, int], fps: float) -> None:
-        self.sensor, self.size, self.fps = sensor, size, fps
+    def __init__(self, sensor: Sensor, size: tuple[int, int], fps: float, format: str) -> None:  # noqa: A002
+        self.sensor, self.size, self.fps, self.format = sensor, size, fps, format
         self.plugs = sensor.plugs
         self.tick = int(time.monotonic() * fps)
-        self.waiting: deque[tuple[float, float, bytes]] = deque(maxlen=MOST_WAITING)
+        most = MOST_WAITING if format == JPEG else min(MOST_WAITING, MOST_BYTES // (5 * size[0] * size[1]))
+        self.waiting: deque[tuple[float, float, bytes]] = deque(maxlen=max(most, 2))
         self.changed = threading.Condition()
         self.is_ended = False
 
@@ -95,15 +102,15 @@ class Stream:
         """When the next picture is taken [s, monotonic]."""
         return (self.tick + 1) / self.fps
 
-    def put(self, taken: float, jpeg: bytes) -> None:
+    def put(self, taken: float, picture: bytes) -> None:
         """Have a picture sent when it is time, unless a fault prevents it."""
         sensor = self.sensor
         if random.random() < sensor.drop:
             return
         if sensor.is_torn:
-            jpeg = jpeg[: 2 * len(jpeg) // 3]
+            picture = picture[: 2 * len(picture) // 3]
         with self.changed:
-            self.waiting.append((taken + LATENCY + sensor.delay, device_time(sensor.shows, taken), jpeg))
+            self.waiting.append((taken + LATENCY + sensor.delay, device_time(sensor.shows, taken), picture))
             self.changed.notify()
 
     def next(self) -> tuple[float, bytes] | None:
@@ -125,7 +132,9 @@ class Eyes:
         self.world = World(compose(parts).compile(), frequency=100)
         self.streams: list[Stream] = []
         self.parts, self._shared = parts, shared
-        self._cameras: dict[tuple[int, int], SimCameras] = {}
+        self.depth = {one.name for one in parts.cameras if one.camera.has_depth} if parts.setup.cameras.depth else set()
+        """Names of the cameras that have depth."""
+        self._cameras: dict[tuple[tuple[int, int], bool], SimCameras] = {}
         self._skins = {skin.name: SimTactile(self.world, skin) for skin in parts.tactile}
         self._forces: dict[str, np.float64] = {}
         self.sensors: dict[str, Sensor] = {}
@@ -149,30 +158,49 @@ class Eyes:
         self.world.core.set_state(state)
         self.world.refresh()
         self._forces = dict(zip(self._skins, forces, strict=True))
-        drawn: dict[tuple[str, tuple[int, int]], bytes] = {}
+        drawn: dict[tuple[str, tuple[int, int], str, bool], bytes] = {}
         for stream in due:
             stream.tick = int(now * stream.fps)
             if now < stream.sensor.frozen_until:
                 continue
-            key = (stream.sensor.shows, stream.size)
+            key = (stream.sensor.shows, stream.size, stream.format, stream.sensor.is_black)
             if key not in drawn:
-                drawn[key] = simplejpeg.encode_jpeg(self._pixels(*key), QUALITY, "RGB", "444")
-            jpeg = drawn[key]
-            if stream.sensor.is_black:
-                width, height = stream.size
-                jpeg = simplejpeg.encode_jpeg(np.zeros((height, width, 3), np.uint8), QUALITY, "RGB", "444")
-            stream.put(taken, jpeg)
+                drawn[key] = self._picture(*key)
+            stream.put(taken, drawn[key])
 
-    def _pixels(self, name: str, size: tuple[int, int]) -> NDArray[np.uint8]:
-        if name in self._skins:
-            return np.ascontiguousarray(self._skins[name].read(self._forces[name])["rgb"])
-        if size not in self._cameras:
-            self._cameras[size] = SimCameras(self.world, list(self.parts.cameras), size=size)
-        return np.ascontiguousarray(self._cameras[size].read([name])[name]["rgb"])
+    def about(self, name: str) -> dict[str, Any]:
+        """Return what a camera tells about itself: serial number, name, modes and how it sees in them."""
+        camera = next(one for one in self.parts.cameras if one.name == name)
+        modes: list[dict[str, Any]] = []
+        for mode in camera.camera.modes:
+            optics = Optics(camera, (mode.width, mode.height), self.world.model)
+            fovy = self.world.model.cam_fovy[optics.id]
+            seen = Intrinsics.of_matrix(optics.intrinsics(fovy), (mode.width, mode.height), optics.distortion(fovy))
+            modes.append({"rates": mode.rates, **describe(seen)})
+        label, has_depth = camera.camera.label, name in self.depth
+        return {"serial": serial_of(name), "name": label, "has_depth": has_depth, "modes": modes}
+
+    def _picture(self, name: str, size: tuple[int, int], format: str, is_black: bool) -> bytes:  # noqa: A002
+        """Return what a sensor shows, in the format of a stream."""
+        width, height = size
+        rgb, depth = np.zeros((height, width, 3), np.uint8), np.zeros((height, width), np.uint16)
+        if not is_black and name in self._skins:
+            rgb = np.ascontiguousarray(self._skins[name].read(self._forces[name])["rgb"])
+        elif not is_black:
+            has_depth = format == RGBD and name in self.depth
+            if (size, has_depth) not in self._cameras:
+                there = [one for one in self.parts.cameras if one.name in self.depth or not has_depth]
+                self._cameras[size, has_depth] = SimCameras(self.world, there, size=size, has_depth=has_depth)
+            frame = self._cameras[size, has_depth].read([name])[name]
+            rgb, depth = np.ascontiguousarray(frame["rgb"]), frame.get("depth", depth)
+        if format == JPEG:
+            return simplejpeg.encode_jpeg(rgb, QUALITY, "RGB", "444")
+        return rgb.tobytes() + (depth.astype("<u2").tobytes() if format == RGBD else b"")
 
 
 def serve(eyes: Eyes) -> ThreadingHTTPServer:
     """Return a server of streams at a free port, which runs in threads."""
+    cameras = {one.name for one in eyes.parts.cameras}
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -183,7 +211,15 @@ def serve(eyes: Eyes) -> ThreadingHTTPServer:
                 return
             if time.monotonic() < sensor.unplugged_until:
                 return
-            query = parse_qs(parts.query)
+            query = parse_qs(parts.query, keep_blank_values=True)
+            if "about" in query and sensor.shows in cameras:
+                self.tell(eyes.about(sensor.shows))
+                return
+            picked = query.get("format", [JPEG])[0]
+            formats = (JPEG, RGB, RGBD) if sensor.name in eyes.depth else (JPEG,)
+            if picked not in formats:
+                self.refuse(400, f"it has {', '.join(formats)}")
+                return
             try:
                 width, _, height = query["resolution"][0].partition("x")
                 size, fps = (int(width), int(height)), float(query["fps"][0])
@@ -194,14 +230,23 @@ def serve(eyes: Eyes) -> ThreadingHTTPServer:
                 each = "; ".join(f"{w}x{h} at {rates}" for (w, h), rates in sensor.modes.items())
                 self.refuse(400, f"it has {each}")
                 return
-            self.send(Stream(sensor, size, fps))
+            self.send(Stream(sensor, size, fps, picked))
 
         def refuse(self, code: int, reason: str) -> None:
             self.send_response(code)
             self.send_header("X-Reason", reason)
             self.end_headers()
 
+        def tell(self, about: Mapping[str, Any]) -> None:
+            told = json.dumps(about).encode()
+            self.send_response(200)
+            self.send_header("Content-Type", "application/json")
+            self.send_header("Content-Length", str(len(told)))
+            self.end_headers()
+            self.wfile.write(told)
+
         def send(self, stream: Stream) -> None:
+            kind = "image/jpeg" if stream.format == JPEG else "application/octet-stream"
             self.send_response(200)
             self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
             self.send_header("X-Serial-Number", serial_of(stream.sensor.shows))
@@ -209,9 +254,9 @@ def serve(eyes: Eyes) -> ThreadingHTTPServer:
             eyes.streams.append(stream)
             try:
                 while (picture := stream.next()) is not None:
-                    at, jpeg = picture
-                    head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\nX-Timestamp: {at:.6f}\r\n\r\n"
-                    self.wfile.write(f"\r\n--{BOUNDARY}\r\n{head}".encode() + jpeg)
+                    at, content = picture
+                    head = f"Content-Type: {kind}\r\nContent-Length: {len(content)}\r\nX-Timestamp: {at:.6f}\r\n\r\n"
+                    self.wfile.write(f"\r\n--{BOUNDARY}\r\n{head}".encode() + content)
             except OSError:  # the client is gone
                 pass
             finally:
@@ -239,7 +284,8 @@ def main(read: Callable[[], str], say: Callable[[Mapping[str, Any]], None]) -> N
         return
     server = serve(eyes)
     tactile = {skin.name: skin.sensor.name for skin in eyes.parts.tactile}
-    say({"port": server.server_port, "cameras": [one.name for one in eyes.parts.cameras], "tactile": tactile})
+    cameras = {one.name: "realsense" if one.name in eyes.depth else "webcam" for one in eyes.parts.cameras}
+    say({"port": server.server_port, "cameras": cameras, "tactile": tactile})
     has_ended = threading.Event()
 
     def listen() -> None:

@@ -128,7 +128,7 @@ class VirtualSensors:
                 f"The cameras of the virtual world do not start: {told.get('error', 'no answer, or see above')}"
             )
         self._port: int = told["port"]
-        self._cameras: Sequence[str] = told["cameras"]
+        self._cameras: Mapping[str, str] = told["cameras"]
         self._skins: Mapping[str, str] = told["tactile"]
 
     @property
@@ -148,7 +148,7 @@ class VirtualSensors:
             options = {"latency": LATENCY, "serial": serial_of(name)}
             return {"driver": driver, "address": f"http://127.0.0.1:{self._port}/{name}", "options": options}
 
-        cameras = {name: entry(name, "webcam") for name in self._cameras}
+        cameras = {name: entry(name, driver) for name, driver in self._cameras.items()}
         skins = {name: entry(name, driver) for name, driver in self._skins.items()}
         return {kind: found for kind, found in (("cameras", cameras), ("tactile", skins)) if found}
 

@@ -39,13 +39,14 @@ class VirtualProcess:
         seed: int = 0,
         log: Path | str | None = None,
         cameras: Sequence[str] = (),
+        depth: bool = False,
         tactile: bool = False,
     ) -> None:
         """Store the command; arguments as in `rcs virtual`."""
         given = {"--address": address, "--setup": setup, "--seed": seed, "--log": log}
         options = [word for name, value in given.items() if value is not None for word in (name, str(value))]
         options += ["--cameras", *cameras] if cameras else []
-        options += ["--tactile"] if tactile else []
+        options += ["--depth"] * depth + ["--tactile"] * tactile
         self._command = [sys.executable, "-m", "rcs", "virtual", robot, *options]
         self._process: subprocess.Popen[str] | None = None
         self._words: IO[str] | None = None

@@ -61,6 +61,7 @@ class VirtualWorld:
         log: Path | None = None,
         wires: Mapping[str, type[Wire]] | None = None,
         cameras: Sequence[str] = (),
+        depth: bool = False,
         tactile: bool = False,
     ) -> None:
         """Place the robots at home and the objects according to the seed, and listen.
@@ -72,19 +73,22 @@ class VirtualWorld:
             log: Path of the log; None for none.
             wires: Wires by arm name, in addition to the installed ones.
             cameras: Names of cameras that are served, too.
+            depth: True to serve the depth cameras among them with depth, for the driver `realsense`.
             tactile: True to serve tactile sensors in the place of the grippers' pads, DIGITs unless the setup says.
 
         Raises:
             UnknownName: There is no wire for an arm, or a name in the setup does not exist.
-            InvalidSetup: An address is taken.
+            InvalidSetup: An address is taken, or `depth` is True without cameras.
             OSError: The log cannot be written.
         """
+        if depth and not cameras:
+            raise InvalidSetup("depth is True and there are no cameras; name those to serve, or leave depth out.")
         kinds = {stand.name: _wire_of(stand.arm, wires or {}) for stand in lab_of(setup.robot).stands}
         self.rate = max(kind.rate for kind in kinds.values())
         """Ticks per second [Hz]."""
         setup = replace(setup, randomisation=None, compliance=None, physics_step=1.0 / self.rate)
         setup = replace(setup, tactile=(setup.tactile or "digit") if tactile else None)
-        parts = resolve(replace(setup, cameras=_chosen(setup, cameras)))
+        parts = resolve(replace(setup, cameras=_chosen(setup, cameras, depth)))
         self.world = World(compose(parts).compile(), frequency=self.rate)
         """The physics."""
         self.setup = parts.setup
@@ -349,10 +353,14 @@ def usual_setup(robot: str) -> Setup:
     return Setup(task="PickCuboid" if lab.end_effector in lookup.names("gripper") else "PickToy", robot=robot)
 
 
-def _chosen(setup: Setup, cameras: Sequence[str]) -> Any:
+def _chosen(setup: Setup, cameras: Sequence[str], depth: bool) -> Any:
     """Return the cameras of a setup, or those of its lab, that are named."""
     mounts = {name: mount for name, mount in setup.cameras.mounts.items() if name in cameras}
-    return replace(setup.cameras, names=tuple(cameras), mounts=mounts, pixels=None) if cameras else ()
+    return (
+        replace(setup.cameras, names=tuple(cameras), mounts=mounts, depth=depth, points=False, pixels=None)
+        if cameras
+        else ()
+    )
 
 
 def _wire_of(arm: str, wires: Mapping[str, type[Wire]]) -> type[Wire]:
