@@ -1,11 +1,13 @@
 """Measure the rate at which virtual FR3s are controlled and recorded, with cameras and DIGITs, over their wires.
 
-    python benchmarks/frequency.py [--arms 1] [--cameras 2] [--tactile 0] [--rates 10 30 60 90 120 150 200]
+    python benchmarks/frequency.py [--arms 1] [--cameras 2] [--depth] [--tactile 0]
+        [--rates 10 30 60 90 120 150 200]
 
 The experiment of the paper's figure on frequencies: cameras of 1280 x 720 px at 30 frames/s, DIGITs of 320 x 240 px at
 60, one or two arms with hands, everything recorded, a scripted operator that moves a joint to and fro. A virtual robot
 draws its cameras on the same machine, so run this on one with enough processors; `processors` says how many there were.
-`--tactile 2` puts two DIGITs on each arm, four on two; `tactile` says how many are read.
+`--depth` serves the cameras for the vendor's library of RealSense cameras, with depth, instead of JPEGs; `--size` is another
+size. `--tactile 2` puts two DIGITs on each arm, four on two; `tactile` says how many are read.
 
 Prints one line of JSON per rate: `rate_hz` (1 / mean period) and `std_hz` (standard deviation of 1 / period),
 `period_p50_ms`, `period_p99_ms` (of the deviation from the wanted period), `silent_drops` (steps that are neither in
@@ -61,6 +63,10 @@ class Options:
     """Number of arms."""
     cameras: Literal[0, 1, 2, 3, 4] = 2
     """Number of cameras."""
+    depth: bool = False
+    """Record depth, too."""
+    size: tuple[int, int] = SIZE
+    """Width and height of the pictures [px]."""
     tactile: Literal[0, 2] = 0
     """Number of DIGITs on each arm."""
     rates: tuple[float, ...] = (10.0, 30.0, 60.0, 90.0, 120.0, 150.0, 200.0)
@@ -78,18 +84,19 @@ def main(options: Options) -> None:
     robot, names = LABS[options.arms][0], LABS[options.arms][1][: options.cameras]
     own = lab_of(robot).cameras
     mounts = {name: MORE[name] for name in names if name not in own}
-    cameras = rcs.Cameras(names=names, mounts=mounts, image_size=SIZE, fps=FPS)
+    cameras = rcs.Cameras(names=names, mounts=mounts, image_size=options.size, fps=FPS, depth=options.depth)
     tactile = "digit" if options.tactile else None
     setup = rcs.Setup(task="Free", robot=robot, cameras=cameras, tactile=tactile, max_episode_steps=None)
     found: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "setup.json"
         file.write_text(json.dumps(setup.to_json()))
-        served = {"cameras": names, "tactile": bool(options.tactile), "address": options.address, "setup": file}
-        with VirtualProcess(robot, **served) as virtual:
+        served = {"cameras": names, "depth": options.depth, "tactile": bool(options.tactile)}
+        with VirtualProcess(robot, address=options.address, setup=file, **served) as virtual:
             for rate in options.rates:
                 measured = measure(setup, virtual.site, rate, options.steps, Path(folder) / f"{rate:g}")
-                about = {"arms": options.arms, "cameras": len(names), "tactile": len(virtual.site.tactile)}
+                about = {"arms": options.arms, "cameras": len(names), "size": options.size, "depth": options.depth}
+                about["tactile"] = len(virtual.site.tactile)
                 found.append({"benchmark": "frequency", **about, **measured, "processors": os.cpu_count()})
                 print(json.dumps(found[-1]), flush=True)
     if options.figure is not None:

@@ -97,6 +97,7 @@ class HttpPictures:
         self._latency = latency
         self._socket: socket.socket | None = None
         self._rest = bytearray()
+        self._received = memoryview(bytearray(1 << 20))
         self._number = -1
         self._empty_at = -math.inf
         self.clock = DeviceClock(latency)
@@ -202,7 +203,8 @@ class HttpPictures:
             raise DeviceFault(f"a part of {self._url} has {length} bytes, too many for a picture")
         if len(self._rest) < end + 4 + length:
             return None
-        content = bytes(self._rest[end + 4 : end + 4 + length])
+        with memoryview(self._rest) as received:
+            content = bytes(received[end + 4 : end + 4 + length])
         del self._rest[: end + 4 + length]
         return fields, content
 
@@ -221,16 +223,16 @@ class HttpPictures:
             raise DeviceFault(f"no picture from {self._url} in time")
         self._socket.settimeout(left)
         try:
-            data = self._socket.recv(1 << 20)
+            count = self._socket.recv_into(self._received)
         except TimeoutError as err:
             raise DeviceFault(f"no picture from {self._url} in time") from err
         except OSError as err:
             raise DeviceFault(f"the connection to {self._url} is lost: {err.strerror or err}") from err
-        if not data:
+        if not count:
             raise DeviceFault(f"{self._url} has ended the stream")
         if len(self._rest) > MOST_BYTES:
             raise DeviceFault(f"{self._url} gives no pictures")
-        self._rest += data
+        self._rest += self._received[:count]
 
 
 def require_url(url: str) -> SplitResult:

@@ -256,7 +256,8 @@ def serve(eyes: Eyes) -> ThreadingHTTPServer:
                 while (picture := stream.next()) is not None:
                     at, content = picture
                     head = f"Content-Type: {kind}\r\nContent-Length: {len(content)}\r\nX-Timestamp: {at:.6f}\r\n\r\n"
-                    self.wfile.write(f"\r\n--{BOUNDARY}\r\n{head}".encode() + content)
+                    self.wfile.write(f"\r\n--{BOUNDARY}\r\n{head}".encode())
+                    self.wfile.write(content)
             except OSError:  # the client is gone
                 pass
             finally:
