@@ -142,6 +142,17 @@ def test_homing_stands_at_a_hold_and_is_refused_in_the_fault_state(robot: Virtua
         assert hand.state().opening == pytest.approx(stands, abs=0.05)
 
 
+def test_a_time_of_the_hand_is_a_time(robot: VirtualProcess):
+    with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
+        states = []
+        for _ in range(400):
+            states.append(hand.state())
+            time.sleep(0.005)
+    seen, at = (np.array([getattr(state, name) for state in states]) for name in ("time", "device_time"))
+    assert len(set(seen)) > 30, "it sends 30 a second"
+    assert np.isnan(at).all() or np.ptp(at) == pytest.approx(np.ptp(seen), rel=0.2), "no count of messages"
+
+
 def test_a_hold_before_the_fingers_begin_to_move_stops_them(robot: VirtualProcess, monkeypatch: pytest.MonkeyPatch):
     with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
         hand.command_opening(1.0)

@@ -110,12 +110,9 @@ class FrankaHand(Gripper):
         if problem:
             self.set_fault(problem)
             raise DeviceFault(f"{self.name}: {problem}")
-        state = self._state_now
+        # The library's time of a state is the number of its message, counted as milliseconds: no time of 30 states/s.
         return GripperState(
-            min(max(state.width / self.max_width, 0.0), 1.0),
-            math.nan,
-            time=self._measured_at,
-            device_time=state.time.to_sec(),
+            min(max(self._state_now.width / self.max_width, 0.0), 1.0), math.nan, time=self._measured_at
         )
 
     def _command_opening(self, opening: float, force: float | None) -> None:
