@@ -6,8 +6,8 @@
 The experiment of the paper's figure on frequencies: cameras of 1280 x 720 px at 30 frames/s, DIGITs of 320 x 240 px at
 60, one or two arms with hands, everything recorded, a scripted operator that moves a joint to and fro. A virtual robot
 draws its cameras on the same machine, so run this on one with enough processors; `processors` says how many there were.
-`--depth` serves the cameras for the vendor's library of RealSense cameras, with depth, instead of JPEGs; `--size` is another
-size. `--tactile 2` puts two DIGITs on each arm, four on two; `tactile` says how many are read.
+`--depth` serves the cameras with depth for the library of RealSense cameras, instead of as webcams; `--size 640 480` is
+another size. `--tactile 2` puts two DIGITs on each arm, four on two; `tactile` says how many are read.
 
 Prints one line of JSON per rate: `rate_hz` (1 / mean period) and `std_hz` (standard deviation of 1 / period),
 `period_p50_ms`, `period_p99_ms` (of the deviation from the wanted period), `silent_drops` (steps that are neither in

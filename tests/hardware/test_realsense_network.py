@@ -196,3 +196,79 @@ def test_what_does_not_fit_is_refused(running: Running) -> None:
         driver.camera(webcam, REALSENSE_D435, MODE, {}).open()
     with pytest.raises(DeviceFault, match="no RealSense answers"):
         driver.camera(webcam + "/none", REALSENSE_D435, MODE, {}).open()
+
+
+class TwoEyes:
+    """A pipeline of a camera whose depth has another size and another view: 50 mm beside the colours, of a wall."""
+
+    serial, number = "two-eyes", 0
+    WALL, BESIDE = 1000, 0.05
+
+    def __init__(self, rs: Any, url: str, *, serial: str) -> None:
+        self.rs, self.device, self.syncer = rs, rs.software_device(), rs.syncer()
+        self.sensors, self.profiles = [], []
+        kinds = ((rs.stream.color, rs.format.rgb8, 3, SIZE), (rs.stream.depth, rs.format.z16, 2, (640, 480)))
+        for uid, (kind, format, count, (width, height)) in enumerate(kinds):  # noqa: A001
+            stream, seen = rs.video_stream(), rs.intrinsics()
+            seen.width, seen.height, seen.fx, seen.fy = width, height, float(width), float(width)
+            seen.ppx, seen.ppy, seen.model, seen.coeffs = (
+                (width - 1) / 2,
+                (height - 1) / 2,
+                rs.distortion.none,
+                [0.0] * 5,
+            )
+            stream.type, stream.index, stream.uid, stream.fmt, stream.bpp = kind, 0, uid, format, count
+            stream.width, stream.height, stream.fps, stream.intrinsics = width, height, FPS, seen
+            self.sensors.append(self.device.add_sensor(str(kind)))
+            self.profiles.append(self.sensors[-1].add_video_stream(stream).as_video_stream_profile())
+        self.sensors[1].add_read_only_option(rs.option.depth_units, 0.001)
+        beside = rs.extrinsics()
+        beside.rotation, beside.translation = [1, 0, 0, 0, 1, 0, 0, 0, 1], [self.BESIDE, 0, 0]
+        self.profiles[1].register_extrinsics_to(self.profiles[0], beside)
+
+    def start(self, streams: Any) -> TwoEyes:
+        assert [stream[1:3] for stream in streams] == [SIZE, (640, 480)], "depth has the largest size that there is"
+        for sensor, profile in zip(self.sensors, self.profiles, strict=True):
+            sensor.open(profile)
+            sensor.start(self.syncer)
+        return self
+
+    def get_device(self) -> Any:
+        return self.device
+
+    def get_stream(self, kind: Any) -> Any:
+        return self.profiles[kind == self.rs.stream.depth]
+
+    def wait_for_frames(self, limit: int) -> Any:
+        self.number += 1
+        for sensor, profile, value, count in zip(self.sensors, self.profiles, (200, self.WALL), (3, 2), strict=True):
+            frame, width = self.rs.software_video_frame(), profile.width()
+            shape = (profile.height(), width, 3)[:count]
+            frame.pixels, frame.bpp, frame.stride = np.full(shape, value, f"u{1 + (count == 2)}"), count, width * count
+            frame.timestamp, frame.domain = 1e3 * self.number / FPS, self.rs.timestamp_domain.hardware_clock
+            frame.frame_number, frame.profile = self.number, profile
+            if count == 2:
+                frame.depth_units = 0.001
+            sensor.set_metadata(self.rs.frame_metadata_value.actual_fps, 1000 * FPS)
+            sensor.on_video_frame(frame)
+        return self.syncer.wait_for_frames(limit)
+
+    def poll_for_frames(self) -> Any:
+        return self.syncer.poll_for_frames()
+
+    def stop(self) -> None:
+        for sensor in self.sensors:
+            sensor.stop()
+            sensor.close()
+
+
+def test_depth_of_another_eye_is_aligned_to_the_colours(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.hardware.realsense.NetworkPipeline", TwoEyes)
+    with RealsenseDriver().camera("http://127.0.0.1/eyes", REALSENSE_D435, MODE, {}) as camera:
+        depth = camera.read().depth_mm
+    assert depth is not None
+    assert depth.shape == SIZE[::-1]
+    # A point of the wall is 0.05 m, 16 px at 320 px of focal length and 1 m, farther right for the colours.
+    shift = round(TwoEyes.BESIDE * SIZE[0] / (TwoEyes.WALL / 1000))
+    assert not depth[:, : shift - 1].any()
+    assert (depth[2:-2, shift + 1 : -2] == TwoEyes.WALL).mean() > 0.99
