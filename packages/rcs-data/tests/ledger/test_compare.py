@@ -12,7 +12,7 @@ from rcs_data.ledger.compare import compare
 from rcs_data.ledger.page import comparison_page
 
 if TYPE_CHECKING:
-    from conftest import MakeRow  # pyright: ignore[reportAttributeAccessIssue]
+    from conftest import MakeCondition, MakeRow  # pyright: ignore[reportAttributeAccessIssue]
 
 EVIL = "<img src=x onerror=hacked()>"
 
@@ -102,6 +102,18 @@ def test_the_page_has_all_agents_their_own_films_and_words_are_words(filled: Led
         "left:12.50%",
     ):
         assert words in text
+
+
+def test_a_page_of_many_agents_says_how_to_compare_two(
+    filled: Ledger, make_condition: MakeCondition, make_row: MakeRow
+) -> None:
+    for number in range(10):
+        assert "<h2>Comparison</h2><p>Pairs of episodes" in write_ledger_page(filled).read_text()
+        more = make_condition(f"more-{number}")
+        filled.register(more, "runs/more")
+        assert filled.add(make_row(more, 0))
+    words = f"too many agents to compare each with each here: rcs compare {filled.folder} A B"
+    assert words in write_ledger_page(filled).read_text()
 
 
 def test_a_page_states_both_values_and_when_each_holds(filled: Ledger) -> None:

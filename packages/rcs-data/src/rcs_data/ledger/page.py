@@ -48,8 +48,12 @@ def _page(ledger: Ledger) -> str:
     damage = [element("p", sentence) for sentence in ledger.damage]
     compared = compare(ledger) if 2 <= len(conditions) <= _MOST_COMPARED else []
     compared = [one for one in compared if one.pairs.n]
+    comparison = comparison_table(compared) if compared else None
+    if len(conditions) > _MOST_COMPARED:
+        words = f"There are too many agents to compare each with each here: rcs compare {ledger.folder} A B"
+        comparison = element("section", element("h2", "Comparison"), element("p", words))
     sections = [_section(ledger, hash_, one, labels[hash_]) for hash_, one in conditions.items()]
-    parts = [*damage, _curve(ledger, conditions), comparison_table(compared) if compared else None, *sections]
+    parts = [*damage, _curve(ledger, conditions), comparison, *sections]
     main = element("main", *parts, class_="sheet")
     return page(title, header(title), main, script(web(CHARTS_SCRIPT)))
 
