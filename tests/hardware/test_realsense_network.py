@@ -189,7 +189,7 @@ def test_what_does_not_fit_is_refused(running: Running) -> None:
     driver = RealsenseDriver()
     with pytest.raises(InvalidSetup, match="valid on a network is 'http://HOST"):
         driver.camera("ftp://127.0.0.1/side", REALSENSE_D435, MODE, {})
-    with pytest.raises(InvalidSetup, match="is its address, not an option"):
+    with pytest.raises(InvalidSetup, match="serial is an option at a URL"):
         driver.camera("0123", REALSENSE_D435, MODE, {"serial": "0123"})
     webcam = running.sensors.site()["cameras"]["wrist"]["address"]
     with pytest.raises(InvalidSetup, match="has no depth"):
