@@ -82,7 +82,9 @@ class Realsense(Camera):
         if self._is_on_network:
             require_url(address)
         elif "serial" in options:
-            raise InvalidSetup("serial is an option at a URL; the serial number of a camera on a USB port is its address.")
+            raise InvalidSetup(
+                "serial is an option at a URL; the serial number of a camera on a USB port is its address."
+            )
         if not self._is_plugged_in and (given := [name for name in CONTROLS if name in options]):
             what = "is a recording" if self._is_recording else "is on a network"
             raise InvalidSetup(f"The options {given} set a camera; {address} {what}. Leave them out.")
