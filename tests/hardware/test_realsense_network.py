@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from showing import Showing, truth
 
 import rcs
 from rcs.devices import Camera, CameraMode
@@ -21,7 +21,6 @@ from rcs.robots.cameras import REALSENSE_D435
 from rcs.setups.make import resolve
 from rcs.sim.camera import SimCameras
 from rcs.sim.world import World
-from rcs.virtual.sensors import DRIFT, device_time
 from rcs.virtual.virtual_world import VirtualWorld, usual_setup
 
 pytest.importorskip("pyrealsense2", reason="needs the vendor's library and libusb", exc_type=ImportError)
@@ -33,50 +32,27 @@ LATE = 0.05
 """By how much times may be off on a busy machine [s]."""
 
 
-class Running:
-    """A virtual world that shows its state, which stays, on a thread."""
-
-    def __init__(self) -> None:
-        setup = replace(usual_setup("so101"), cameras=rcs.Cameras(mounts={"side": SIDE}))
-        self.world = VirtualWorld(setup, cameras=("side", "wrist"), depth=True)
-        assert self.world.sensors is not None
-        self.sensors = self.world.sensors
-        self._must_end = threading.Event()
-        self._thread = threading.Thread(target=self._show, name="world", daemon=True)
-        self._thread.start()
-
-    def _show(self) -> None:
-        while not self._must_end.wait(0.005):
-            self.sensors.show()
-
-    def tell(self, *words: object) -> None:
-        self.world.tell([str(word) for word in words])
-
-    def close(self) -> None:
-        self._must_end.set()
-        self._thread.join()
-        self.world.close()
-
-
 @pytest.fixture(scope="module")
-def running() -> Iterator[Running]:
-    running = Running()
+def running() -> Iterator[Showing]:
+    setup = replace(usual_setup("so101"), cameras=rcs.Cameras(mounts={"side": SIDE}))
+    running = Showing(VirtualWorld(setup, cameras=("side", "wrist"), depth=True))
+    running.start()
     yield running
     running.close()
 
 
 @pytest.fixture(autouse=True)
-def mended(running: Running) -> Iterator[None]:
+def mended(running: Showing) -> Iterator[None]:
     yield
     running.tell("side", "clear")
 
 
-def realsense(running: Running, mode: CameraMode = MODE, **options: Any) -> Camera:
+def realsense(running: Showing, mode: CameraMode = MODE, **options: Any) -> Camera:
     entry = running.sensors.site()["cameras"]["side"]
     return RealsenseDriver().camera(entry["address"], REALSENSE_D435, mode, {**entry["options"], **options})
 
 
-def drawn(running: Running, size: tuple[int, int]) -> dict[str, Any]:
+def drawn(running: Showing, size: tuple[int, int]) -> dict[str, Any]:
     parts = resolve(running.world.setup)
     world = World(compose(parts).compile(), frequency=100)
     world.core.set_state(running.world.world.core.get_state())
@@ -90,7 +66,7 @@ def read_on(camera: Camera, count: int = 100) -> None:
         camera.read()
 
 
-def test_only_cameras_with_depth_are_served_for_the_vendors_library(running: Running) -> None:
+def test_only_cameras_with_depth_are_served_for_the_vendors_library(running: Showing) -> None:
     cameras = running.sensors.site()["cameras"]
     assert {name: entry["driver"] for name, entry in cameras.items()} == {"side": "realsense", "wrist": "webcam"}
     setup = usual_setup("so101")
@@ -99,7 +75,7 @@ def test_only_cameras_with_depth_are_served_for_the_vendors_library(running: Run
 
 
 @pytest.mark.parametrize("size", [SIZE, (1280, 720)])
-def test_colours_depth_and_intrinsics_are_exactly_those_of_the_world(running: Running, size: tuple[int, int]) -> None:
+def test_colours_depth_and_intrinsics_are_exactly_those_of_the_world(running: Showing, size: tuple[int, int]) -> None:
     seen = drawn(running, size)
     assert seen["rgb"].std() > 10, "there is something to see"
     assert np.ptp(seen["depth"][seen["depth"] > 0]) > 100
@@ -117,15 +93,14 @@ def test_colours_depth_and_intrinsics_are_exactly_those_of_the_world(running: Ru
         assert frame.depth_mm is None
 
 
-def test_times_are_when_the_world_was_so(running: Running) -> None:
+def test_times_are_when_the_world_was_so(running: Showing) -> None:
     with realsense(running) as camera:
         for _ in range(60):
             frame = camera.read()
-            truth = (frame.device_time - device_time("side", 0.0)) / (1.0 - DRIFT)
-            assert abs(frame.time - truth) < LATE
+            assert abs(frame.time - truth("side", frame.device_time)) < LATE
 
 
-def test_a_lost_camera_is_a_fault_and_comes_back_with_numbers_that_go_on(running: Running) -> None:
+def test_a_lost_camera_is_a_fault_and_comes_back_with_numbers_that_go_on(running: Showing) -> None:
     with realsense(running) as camera:
         before = camera.read().number
         running.tell("side", "unplug", 600)
@@ -141,7 +116,7 @@ def test_a_lost_camera_is_a_fault_and_comes_back_with_numbers_that_go_on(running
 
 
 @pytest.mark.parametrize("fault", [("freeze", 600), ("tear",)])
-def test_no_whole_picture_is_a_fault(running: Running, fault: tuple[Any, ...]) -> None:
+def test_no_whole_picture_is_a_fault(running: Showing, fault: tuple[Any, ...]) -> None:
     with realsense(running) as camera:
         running.tell("side", *fault)
         begin = time.monotonic()
@@ -153,13 +128,13 @@ def test_no_whole_picture_is_a_fault(running: Running, fault: tuple[Any, ...]) -
         assert time.monotonic() - begin < 1.0
 
 
-def test_another_camera_in_its_place_is_told(running: Running) -> None:
+def test_another_camera_in_its_place_is_told(running: Showing) -> None:
     running.tell("side", "swap", "wrist")
     with pytest.raises(DeviceFault, match=r"another camera answers at .*'virtual-wrist', not 'virtual-side'"):
         realsense(running).open()
 
 
-def test_a_black_picture_is_a_picture_without_depth(running: Running) -> None:
+def test_a_black_picture_is_a_picture_without_depth(running: Showing) -> None:
     with realsense(running) as camera:
         running.tell("side", "black")
         time.sleep(0.3)
@@ -168,7 +143,7 @@ def test_a_black_picture_is_a_picture_without_depth(running: Running) -> None:
         assert (frame.rgb.max(), frame.depth_mm.max()) == (0, 0)
 
 
-def test_an_environment_observes_it(running: Running) -> None:
+def test_an_environment_observes_it(running: Showing) -> None:
     cameras = rcs.Cameras(mounts={"side": SIDE}, image_size=SIZE, depth=True, fps=FPS)
     setup = rcs.Setup(task="Free", robot="so101", cameras=cameras)
     site = {"side": running.sensors.site()["cameras"]["side"]}
@@ -177,7 +152,7 @@ def test_an_environment_observes_it(running: Running) -> None:
         np.testing.assert_array_equal(frame["depth"], drawn(running, SIZE)["depth"])
 
 
-def test_what_does_not_fit_is_refused(running: Running) -> None:
+def test_what_does_not_fit_is_refused(running: Showing) -> None:
     for mode, words in (
         (CameraMode(320, 240, 45.0, True), "does not offer 320x240 at 45 Hz; it has 320x180 at 6"),
         (CameraMode(300, 200, 30.0, False), "does not offer 300x200"),

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import simplejpeg
 from rcs_data import Dataset
+from showing import Showing, truth
 
 import rcs
 from rcs.devices import Camera, CameraMode
@@ -26,7 +27,7 @@ from rcs.sim.camera import SimCameras
 from rcs.sim.tactile import SimTactile
 from rcs.sim.world import World
 from rcs.spatial import Pose, wxyz_to_xyzw
-from rcs.virtual.sensors import DRIFT, device_time
+from rcs.virtual.sensors import DRIFT
 from rcs.virtual.virtual_world import VirtualWorld, usual_setup
 
 pytestmark = [pytest.mark.gl, pytest.mark.hardware]
@@ -35,19 +36,14 @@ LATE = 0.05
 """By how much times may be off on a busy machine [s]; docs/hardware.md has what is measured on an idle one."""
 
 
-class Running:
-    """A virtual world that holds the cuboid between its gels and shows its state 200 times a second on a thread."""
+class Running(Showing):
+    """A virtual world that holds the cuboid between its gels."""
 
     def __init__(self) -> None:
-        setup = usual_setup("so101")
-        self.world = VirtualWorld(setup, cameras=("wrist", "diagonal"), tactile=True)
-        assert self.world.sensors is not None
-        self.sensors = self.world.sensors
+        super().__init__(VirtualWorld(usual_setup("so101"), cameras=("wrist", "diagonal"), tactile=True))
         self.skin = SimTactile(self.world.world, resolve(self.world.setup).tactile[1])
         self._grasp()
-        self._must_end = threading.Event()
-        self._thread = threading.Thread(target=self._show, name="world", daemon=True)
-        self._thread.start()
+        self.start()
 
     def _grasp(self) -> None:
         """Put the cuboid against a gel, its shorter edge across, where it floats, and close the gripper."""
@@ -64,18 +60,6 @@ class Running:
         self.world.robots["so101"].body.command_opening(np.zeros(1))
         for _ in range(1250):
             world.advance()
-
-    def _show(self) -> None:
-        while not self._must_end.wait(0.005):
-            self.sensors.show()
-
-    def tell(self, *words: object) -> None:
-        self.world.tell([str(word) for word in words])
-
-    def close(self) -> None:
-        self._must_end.set()
-        self._thread.join()
-        self.world.close()
 
 
 @pytest.fixture(scope="module")
@@ -100,11 +84,6 @@ def webcam(running: Running, name: str = "wrist", mode: CameraMode = MODE) -> Ca
 def digit(running: Running, name: str) -> Camera:
     entry = running.sensors.site()["tactile"][name]
     return DigitDriver().tactile(entry["address"], DIGIT, CameraMode(*DIGIT.frame_size, 60.0, False), entry["options"])
-
-
-def truth(name: str, at: float) -> float:
-    """Return the host's time of a moment on a virtual sensor's clock."""
-    return (at - device_time(name, 0.0)) / (1.0 - DRIFT)
 
 
 def read_on(camera: Camera, count: int = 100) -> None:
